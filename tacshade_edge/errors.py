@@ -31,7 +31,9 @@ class ConfigError(TacshadeError):
     _code = ReasonCode.CONFIG
     _OTHERS_MAX: ClassVar[int] = 50
 
-    def __init__(self, text: str, *, code: ReasonCode | None = None, others: Sequence[str] = ()) -> None:
+    def __init__(
+        self, text: str, *, code: ReasonCode | None = None, others: Sequence[str] = ()
+    ) -> None:
         super().__init__(text, code=code)
         self.others = tuple(others[: self._OTHERS_MAX])
         if more := len(others) - len(self.others):

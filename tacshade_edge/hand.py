@@ -16,7 +16,9 @@ from tacshade_edge.protocol.topics import Finger, HandObjects, Motion, Unobserva
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Slip
 
-PATCHES_MAX: Final = 4  # of a finger, the greatest first: a message of five fingers stays within the decoder's limit
+PATCHES_MAX: Final = (
+    4  # of a finger, the greatest first: a message of five fingers stays within the decoder's limit
+)
 PERIOD_NS: Final = 10_000_000
 """Shortest time between two fits: five cameras that do not expose together cause up to 250 messages a second."""
 STALE_NS: Final = 500_000_000
@@ -35,11 +37,17 @@ class HeldObject:
 
     def step(self, fingers: Mapping[str, Finger], now_ns: int) -> Motion | None:
         """Take all fingers' latest reports and return the motion; None if no touching skin has shear."""
-        patches = patches_of({k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS})
+        patches = patches_of(
+            {k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS}
+        )
         if not patches or not 0 <= now_ns - self._fitted_ns < PERIOD_NS:
             self._fitted_ns = now_ns
-            found = self._tracker.step(max(finger.t_ns or 0 for finger in fingers.values()), patches)
-            slipping = dict.fromkeys(key.rpartition(" ")[0] for key, patch in patches.items() if patch.slips)
+            found = self._tracker.step(
+                max(finger.t_ns or 0 for finger in fingers.values()), patches
+            )
+            slipping = dict.fromkeys(
+                key.rpartition(" ")[0] for key, patch in patches.items() if patch.slips
+            )
             self._motion = None if found is None else _published(found, tuple(slipping))
         return self._motion
 
@@ -88,7 +96,9 @@ def _published(found: ObjectMotion, left_out: tuple[str, ...]) -> Motion:
         unobservable=tuple(
             Unobservable(
                 axis=rounded_triple(np.array(line.axis)),
-                through_mm=None if line.through_mm is None else rounded_triple(np.array(line.through_mm)),
+                through_mm=None
+                if line.through_mm is None
+                else rounded_triple(np.array(line.through_mm)),
             )
             for line in found.unobserved
         ),
@@ -99,11 +109,19 @@ def _published(found: ObjectMotion, left_out: tuple[str, ...]) -> Motion:
 GATHER_NS: Final = 3_000_000
 """Longest wait of a finger's news for other fingers in contact, whose next frame is due before then; shortest time
 between two messages."""
-QUIET_PERIOD_NS: Final = 100_000_000  # longest time between two messages, without contact and change
-FIRST_NS: Final = 500_000_000  # longest wait for a silent finger before the first message to a new listener
-STALLED_NS: Final = 3_000_000_000  # a finger that has reported nothing for this long is away, as in `status/camera`
+QUIET_PERIOD_NS: Final = (
+    100_000_000  # longest time between two messages, without contact and change
+)
+FIRST_NS: Final = (
+    500_000_000  # longest wait for a silent finger before the first message to a new listener
+)
+STALLED_NS: Final = (
+    3_000_000_000  # a finger that has reported nothing for this long is away, as in `status/camera`
+)
 
-_STARTING: Final = away(Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet"))
+_STARTING: Final = away(
+    Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet")
+)
 _STALLED: Final = away(Reason(ReasonCode.STALLED, "the sensor has sent no report"))
 
 
@@ -175,13 +193,17 @@ class HandAggregator:
         return message
 
 
-Reports = Iterable[tuple[int, int, Finger]]  # a finger's `t_ns`, Unix time and report of each frame, in order
+Reports = Iterable[
+    tuple[int, int, Finger]
+]  # a finger's `t_ns`, Unix time and report of each frame, in order
 
 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
     """The messages that the hand would have published for reports of one clock, each made exactly when it is due."""
     aggregator = HandAggregator(tuple(fingers))
-    reports = heapq.merge(*(zip(own, repeat(name)) for name, own in fingers.items()), key=lambda each: each[0][0])
+    reports = heapq.merge(
+        *(zip(own, repeat(name)) for name, own in fingers.items()), key=lambda each: each[0][0]
+    )
     now_ns = wall_minus_t_ns = 0
     for (t_ns, wall_ns, finger), name in reports:
         aggregator.listen(True, t_ns)

@@ -26,7 +26,11 @@ def escaped(text: str, chars_max: int = 1000) -> str:
     """`text` as a single line without quotes, cut to `chars_max`, with unprintable characters as escapes."""
     if len(text) > chars_max:
         text = text[:chars_max] + "…"
-    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    )
 
 
 def counted(count: int, noun: str) -> str:
@@ -36,5 +40,7 @@ def counted(count: int, noun: str) -> str:
 
 def did_you_mean(text: object, names: Iterable[object]) -> str:
     """``; did you mean NAME?`` with the name nearest to `text`, or an empty string if none is near."""
-    near = difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
+    near = (
+        difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
+    )
     return f"; did you mean {near[0]}?" if near else ""

@@ -23,7 +23,9 @@ def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
     if not stat.S_ISREG(status.st_mode):
         os.close(descriptor)
         folder = stat.S_ISDIR(status.st_mode)
-        raise OSError(errno.EINVAL, os.strerror(errno.EISDIR) if folder else "found no regular file", path)
+        raise OSError(
+            errno.EINVAL, os.strerror(errno.EISDIR) if folder else "found no regular file", path
+        )
     if status.st_size > bytes_max:
         os.close(descriptor)
         raise OSError(errno.EFBIG, f"found more than {bytes_max} bytes", path)

@@ -20,7 +20,10 @@ class Rigid:
 
     def __matmul__(self, inner: Rigid) -> Rigid:
         """``a_T_b @ b_T_c`` is ``a_T_c``."""
-        return Rigid(self.rotation @ inner.rotation, self.rotation @ inner.translation_mm + self.translation_mm)
+        return Rigid(
+            self.rotation @ inner.rotation,
+            self.rotation @ inner.translation_mm + self.translation_mm,
+        )
 
     def apply(self, points_mm: npt.NDArray[np.floating]) -> F64:
         """Transform points (..., 3) in mm."""

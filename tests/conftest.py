@@ -16,7 +16,11 @@ from support.examples import AT_DESK, at_most
 from tacshade_edge.cli.shared.logs import OneLineHandler
 
 settings.register_profile(
-    "tacshade", deadline=None, print_blob=True, derandomize="CI" in os.environ, max_examples=at_most(AT_DESK)
+    "tacshade",
+    deadline=None,
+    print_blob=True,
+    derandomize="CI" in os.environ,
+    max_examples=at_most(AT_DESK),
 )
 settings.load_profile("tacshade")
 

@@ -51,7 +51,9 @@ for thread in threads:
 """
 
 
-@pytest.mark.parametrize(("first", "more"), [("share_free_memory()", False), ("", True)], ids=["shared", "by itself"])
+@pytest.mark.parametrize(
+    ("first", "more"), [("share_free_memory()", False), ("", True)], ids=["shared", "by itself"]
+)
 def test_threads_allocate_from_one_heap(first: str, more: bool) -> None:
     words = (sys.executable, "-c", SCRIPT.format(first=first))
     done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60)
@@ -116,7 +118,9 @@ def test_a_file_is_named_as_on_any_system(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 numbers = st.floats(-1, 1)
-poses = st.tuples(*[st.floats(-500, 500)] * 3, *[numbers] * 4).filter(lambda v: math.hypot(*v[3:]) > 0.1)
+poses = st.tuples(*[st.floats(-500, 500)] * 3, *[numbers] * 4).filter(
+    lambda v: math.hypot(*v[3:]) > 0.1
+)
 
 
 @given(poses)
@@ -130,10 +134,14 @@ def test_seven_numbers_come_back(values: tuple[float, ...]) -> None:
 
 
 @given(poses, poses)
-def test_composition_applies_the_inner_one_first(a: tuple[float, ...], b: tuple[float, ...]) -> None:
+def test_composition_applies_the_inner_one_first(
+    a: tuple[float, ...], b: tuple[float, ...]
+) -> None:
     outer, inner = from_seven(a), from_seven(b)
     points = np.array(((0.0, 0.0, 20.0), (3.0, -4.0, 5.0)))
-    np.testing.assert_allclose((outer @ inner).apply(points), outer.apply(inner.apply(points)), atol=1e-9)
+    np.testing.assert_allclose(
+        (outer @ inner).apply(points), outer.apply(inner.apply(points)), atol=1e-9
+    )
     np.testing.assert_allclose(outer.inverse().apply(outer.apply(points)), points, atol=1e-9)
 
 

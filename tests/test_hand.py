@@ -21,7 +21,14 @@ from tacshade_edge.hand import (
     with_motion,
 )
 from tacshade_edge.protocol.hand import away, encode_hand
-from tacshade_edge.protocol.topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Motion, decode_hand
+from tacshade_edge.protocol.topics import (
+    OBJECTS_MAX,
+    Finger,
+    HandObject,
+    HandObjects,
+    Motion,
+    decode_hand,
+)
 from tacshade_edge.reasons import Reason, ReasonCode
 
 NOW_NS = 10**12
@@ -53,13 +60,20 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     together.hear("thumb", FREE, NOW_NS + 5)
     assert together.due_ns() == NOW_NS + FIRST_NS
     message = together.message(NOW_NS + FIRST_NS, 7)
-    assert [(f.state, f.reason_code) for f in message.fingers.values()] == [("free", ""), ("away", "starting")]
+    assert [(f.state, f.reason_code) for f in message.fingers.values()] == [
+        ("free", ""),
+        ("away", "starting"),
+    ]
     assert (message.t_ns, message.wall_ns, message.seq) == (NOW_NS + FIRST_NS, 7, 0)
 
 
 @pytest.mark.parametrize(
     ("reported", "period_ns"),
-    [(TOUCHED, GATHER_NS), (away(Reason(ReasonCode.LOST, "gone")), GATHER_NS), (FREE, QUIET_PERIOD_NS)],
+    [
+        (TOUCHED, GATHER_NS),
+        (away(Reason(ReasonCode.LOST, "gone")), GATHER_NS),
+        (FREE, QUIET_PERIOD_NS),
+    ],
     ids=["contact", "change", "nothing new"],
 )
 def test_contact_and_change_are_reported_at_most_250_times_a_second_all_else_10_times(
@@ -88,7 +102,9 @@ def test_news_waits_for_the_other_fingers_in_contact_and_not_for_long(two: HandA
     assert two.due_ns() == later_ns + 19_000_000
 
 
-def test_news_does_not_wait_for_a_finger_whose_next_frame_is_due_too_late(two: HandAggregator) -> None:
+def test_news_does_not_wait_for_a_finger_whose_next_frame_is_due_too_late(
+    two: HandAggregator,
+) -> None:
     period_ns = 16_000_000
     for frame in range(3):
         for name, phase_ns in (("thumb", 0), ("index", 8_000_000)):
@@ -204,12 +220,17 @@ FRAME_NS = 33_333_333
 
 def reports(*states: str, late_ns: int = 0) -> list[tuple[int, int, Finger]]:
     times = (10**9 + late_ns + k * FRAME_NS for k in range(len(states)))
-    return [(t_ns, t_ns + 7, Finger(state=state, t_ns=t_ns, seq=0)) for t_ns, state in zip(times, states, strict=True)]  # type: ignore[arg-type]
+    return [
+        (t_ns, t_ns + 7, Finger(state=state, t_ns=t_ns, seq=0))
+        for t_ns, state in zip(times, states, strict=True)
+    ]  # type: ignore[arg-type]
 
 
 def test_frames_of_one_moment_are_one_message() -> None:
     touch = ("contact",) * 5
-    made = list(messages({"thumb": reports(*touch), "index": reports(*touch, late_ns=GATHER_NS // 2)}))
+    made = list(
+        messages({"thumb": reports(*touch), "index": reports(*touch, late_ns=GATHER_NS // 2)})
+    )
     assert [m.seq for m in made] == list(range(5))
     for message in made:
         thumb, index = message.fingers.values()

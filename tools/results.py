@@ -66,7 +66,10 @@ PAGES = {
         r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0|1|2|2.75|4.5) mm ",
     ),
     "limits": Page(
-        {"": "tools.studies.limits", "Which judge refuses a frame": "tools.studies.judges --frames 74"},
+        {
+            "": "tools.studies.limits",
+            "Which judge refuses a frame": "tools.studies.judges --frames 74",
+        },
         r"^The limits of|^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35|6) mm"
         r"|1\.5 mm|[12457] mm)$"
         r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
@@ -102,7 +105,10 @@ PAGES = {
         r"shear, no map|one offset|^(why|frames|of more than 0.3 mm)$|^(Published|References|Circle|fit of|Figures)"
         r"|^light \| light of |of 500 \||^(fast|balanced) \| (tilt|shear) ",
     ),
-    "slip": Page({"": "tools.studies.slip"}, r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) "),
+    "slip": Page(
+        {"": "tools.studies.slip"},
+        r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) ",
+    ),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
         r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) |^5 ",
@@ -129,7 +135,11 @@ PAGES = {
         r"^(Mean absolute|Published: )",
         drawn=("touch.png",),
     ),
-    "arm": Page({"": "tools.ci.run_arm --count-only"}, r"^nothing failed$|no contact|^--- ", own=("tools/ci",)),
+    "arm": Page(
+        {"": "tools.ci.run_arm --count-only"},
+        r"^nothing failed$|no contact|^--- ",
+        own=("tools/ci",),
+    ),
     "faults": Page(
         {"": "tools.faults table"},
         r"^reported where$|^(recordings read|SIGTERM)",
@@ -154,7 +164,11 @@ def shrunk(printed: str, leave_out: str) -> str:
         if blocks and blocks[-1] is None:
             blocks[-1] = ""
         elif body:
-            blocks.append("\n".join(f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)))
+            blocks.append(
+                "\n".join(
+                    f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)
+                )
+            )
         elif blocks and not (blocks[-1] or "|").startswith("|"):
             blocks.pop()
     return "\n\n".join(block for block in blocks if block)
@@ -162,7 +176,9 @@ def shrunk(printed: str, leave_out: str) -> str:
 
 def git(*words: str) -> str:
     """Run git and return its output."""
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        ["git", *words], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def made_with(command: str, other: float) -> str:
@@ -178,16 +194,24 @@ def made_with(command: str, other: float) -> str:
 
 def worked_s() -> float:
     """Read the processor seconds of the whole machine, less those of this process's finished children."""
-    user, nice, system, _idle, _wait, irq, softirq, *_ = map(int, Path("/proc/stat").read_text().split()[1:9])
+    user, nice, system, _idle, _wait, irq, softirq, *_ = map(
+        int, Path("/proc/stat").read_text().split()[1:9]
+    )
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK") - children.ru_utime - children.ru_stime
+    return (
+        (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
+        - children.ru_utime
+        - children.ru_stime
+    )
 
 
 def write(name: str, page: Page) -> None:
     """Run a page's commands and write the page; exit if a command fails or the machine is not idle."""
     file = FOLDER / f"{name}.md"
     parts = [
-        re.split(r"^(?:Made with|## )", file.read_text(encoding="utf-8"), maxsplit=1, flags=re.MULTILINE)[0].strip()
+        re.split(
+            r"^(?:Made with|## )", file.read_text(encoding="utf-8"), maxsplit=1, flags=re.MULTILINE
+        )[0].strip()
     ]
     with tempfile.TemporaryDirectory() as out:
         for heading, command in page.commands.items():
@@ -217,11 +241,15 @@ def commits_of(name: str) -> list[str]:
 
 def why_stale(name: str, page: Page) -> str:
     """Say why a page is stale; an empty string if it is not."""
-    programs = {command.split()[0].replace(".", "/") for command in page.commands.values()} - {"tacshade_edge"}
+    programs = {command.split()[0].replace(".", "/") for command in page.commands.values()} - {
+        "tacshade_edge"
+    }
     paths = ["tacshade_edge/core", "tacshade_edge/inference", *page.own]
     paths += [path if (ROOT / path).is_dir() else f"{path}.py" for path in programs]
     for commit in commits_of(name):
-        if changes := git("log", "--format=%h %s", f"{commit}..HEAD", "--", ":!*.md", *paths).splitlines():
+        if changes := git(
+            "log", "--format=%h %s", f"{commit}..HEAD", "--", ":!*.md", *paths
+        ).splitlines():
             return f"{len(changes)} commits since {commit}, the last {changes[0]}"
     return "" if commits_of(name) else "names no commit"
 

@@ -29,7 +29,9 @@ from .reasons import ReasonCode
 
 _log = logging.getLogger(__name__)
 
-NEWEST_WINS: Final = frozenset(name for name, topic in {**OF_SENSORS, **OF_HANDS}.items() if topic.newest_wins)
+NEWEST_WINS: Final = frozenset(
+    name for name, topic in {**OF_SENSORS, **OF_HANDS}.items() if topic.newest_wins
+)
 """For each of these topics only the newest message waits; for all others every message waits, in order."""
 WAITING_MAX: Final = 256
 """Most waiting messages; the next one replaces the oldest."""
@@ -52,7 +54,9 @@ class _Session(Client):
 
     on_crash: Callable[[Exception], None]
 
-    def loop_forever(self, timeout: float = 1.0, retry_first_connection: bool = False) -> MQTTErrorCode:
+    def loop_forever(
+        self, timeout: float = 1.0, retry_first_connection: bool = False
+    ) -> MQTTErrorCode:
         try:
             return super().loop_forever(timeout, retry_first_connection)
         except Exception as error:  # noqa: BLE001 - `Listener.get` raises it in the reader's thread
@@ -141,7 +145,9 @@ class Listener(Iterator[Message]):
         Number of messages that no daemon publishes (the log shows the first, and one every 10 s).
     """
 
-    def __init__(self, client: _Session, host: str, port: int, name: str, topics: Collection[str]) -> None:
+    def __init__(
+        self, client: _Session, host: str, port: int, name: str, topics: Collection[str]
+    ) -> None:
         self.passed_over = self.dropped = self.refused = 0
         self._client, self._where, self._base = client, f"{host}:{port}", f"tacshade/{name}"
         self._came = threading.Condition()
@@ -153,7 +159,9 @@ class Listener(Iterator[Message]):
         self._crash: Exception | None = None
         self._next_line_s = 0.0
         self._ask_s: float | None = time.monotonic() + SILENT_S
-        self._there: dict[str, str] | None = None  # the state of each sensor, asked for after a long silence
+        self._there: dict[str, str] | None = (
+            None  # the state of each sensor, asked for after a long silence
+        )
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
         client.on_message, client.on_crash = self._on_message, self._on_crash
@@ -213,7 +221,10 @@ class Listener(Iterator[Message]):
             self._client.subscribe(_STATES, 0)
             return
         self._ask_s = None
-        there = ", ".join(f"{name} ({state})" for name, state in sorted(self._there.items())) or "no sensors"
+        there = (
+            ", ".join(f"{name} ({state})" for name, state in sorted(self._there.items()))
+            or "no sensors"
+        )
         topics = ", ".join(sorted(self._topics))
         _log.warning("%s: no message on %s so far; there are %s", self._where, topics, there)
         self._there = None
@@ -244,7 +255,10 @@ class Listener(Iterator[Message]):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -252,7 +266,9 @@ class Listener(Iterator[Message]):
         if isinstance(topics, str) or not all(
             topic.strip("/") == topic != "" and "\0" not in topic for topic in topics
         ):
-            raise ConfigError(f"topics: found {topics!r}, expected several such as ['height', 'contact', 'status/+']")
+            raise ConfigError(
+                f"topics: found {topics!r}, expected several such as ['height', 'contact', 'status/+']"
+            )
         return frozenset(f"{self._base}/{topic}" for topic in topics)
 
     def _wait_for_subscription(self) -> None:
@@ -261,7 +277,8 @@ class Listener(Iterator[Message]):
             if not self._subscribed:
                 text, code = self._failure or ("no answer", ReasonCode.NO_ANSWER)
                 raise DeviceError(
-                    f"{self._where}: {text}; expected a broker that serves topics under {self._base}/", code=code
+                    f"{self._where}: {text}; expected a broker that serves topics under {self._base}/",
+                    code=code,
                 )
 
     def _subscribe(self, topics: Collection[str]) -> None:
@@ -290,7 +307,9 @@ class Listener(Iterator[Message]):
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
-    def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_connect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         if code.is_failure:
             self._fail(f"rejects the connection: {code}", ReasonCode.REFUSED)
             return
@@ -300,17 +319,23 @@ class Listener(Iterator[Message]):
             self._came.notify_all()
 
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error = sys.exception()  # paho calls this while it handles the error, and does not pass it on
+        error = (
+            sys.exception()
+        )  # paho calls this while it handles the error, and does not pass it on
         text = str(getattr(error, "strerror", None) or error or "no connection")
         self._fail(text, ReasonCode.UNREACHABLE)
 
-    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_disconnect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         with self._came:
             was, self._connected = self._connected, False
         if was:
             self._fail(f"connection lost ({code})", ReasonCode.LOST)
 
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+    def _on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
+    ) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
             self._fail(f"rejects a subscription: {refused}", ReasonCode.REFUSED)
             return
@@ -328,9 +353,13 @@ class Listener(Iterator[Message]):
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
         topic = message._topic.decode(errors="replace")  # `topic` raises if it is not UTF-8
         if "\ufffd" in topic or not topic.startswith("tacshade/"):
-            self._refuse(DecodeError(f"found the topic {quoted(topic)}, expected one of a sensor or hand"))
+            self._refuse(
+                DecodeError(f"found the topic {quoted(topic)}, expected one of a sensor or hand")
+            )
             return
-        if not any(topic_matches_sub(wanted, topic) for wanted in self._topics):  # unsubscribed, or for `_wait`
+        if not any(
+            topic_matches_sub(wanted, topic) for wanted in self._topics
+        ):  # unsubscribed, or for `_wait`
             with self._came:
                 if self._there is not None and len(self._there) < _THERE_MAX:
                     name, state = topic.split("/")[1], message.payload[:20].decode(errors="replace")

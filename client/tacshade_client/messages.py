@@ -50,7 +50,9 @@ def decode_message(topic: str, payload: bytes, *, retained: bool = False) -> Mes
     """
     found = _TOPIC.fullmatch(topic)
     if found is None:
-        raise DecodeError(f"topic {shown(topic)}: expected tacshade/SENSOR/... or tacshade/hand/HAND/...")
+        raise DecodeError(
+            f"topic {shown(topic)}: expected tacshade/SENSOR/... or tacshade/hand/HAND/..."
+        )
     name, part = found.groups()
     topics = OF_HANDS if name.startswith("hand/") else OF_SENSORS
     known = topics.get(part) or topics.get(f"{part.partition('/')[0]}/")
@@ -79,7 +81,9 @@ def skin_mm(height: HeightMessage, geometry: InfoGeometry) -> F32:
         The height comes from another calibration than the geometry: wait for the next ``info``.
     """
     if height.calibration_crc32 != geometry.calibration_crc32:
-        found = f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"
+        found = (
+            f"{height.calibration_crc32:08x}, expected {geometry.calibration_crc32:08x} as in info"
+        )
         raise DecodeError(f"height: found calibration {found}")
     rows, cols = height.height_mm.shape
     grid = Grid(rows, cols, height.row0, height.col0, height.step_px)

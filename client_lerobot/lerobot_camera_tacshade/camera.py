@@ -59,7 +59,9 @@ class TacShadeCamera(Camera):
                 while (message := messages.get(end_s - time.monotonic())) is not None:
                     if isinstance(message.value, Info):
                         size = {"width": SIZE_PX, "height": SIZE_PX}
-                        found.append({"type": "tacshade", "id": message.name, "default_stream_profile": size})
+                        found.append(
+                            {"type": "tacshade", "id": message.name, "default_stream_profile": size}
+                        )
         except DeviceError:
             pass
         return found
@@ -88,14 +90,18 @@ class TacShadeCamera(Camera):
         except (ConfigError, DeviceError, OSError, UnicodeDecodeError) as error:
             raise ConnectionError(f"{self}: {error}") from error
         self._latest, self._fresh, self._crash = None, False, None
-        self._thread = threading.Thread(target=self._receive, args=(self._listener,), name="tacshade", daemon=True)
+        self._thread = threading.Thread(
+            target=self._receive, args=(self._listener,), name="tacshade", daemon=True
+        )
         self._thread.start()
         if warmup:
             try:
                 self.async_read(timeout_ms=1000 * _CONNECT_S)
             except TimeoutError as error:
                 self.disconnect()
-                raise ConnectionError(f"{error}; expected a calibrated sensor of that name") from None
+                raise ConnectionError(
+                    f"{error}; expected a calibrated sensor of that name"
+                ) from None
 
     def read(self) -> U8:
         """Wait at most a second for the next picture. Raises TimeoutError, DeviceNotConnectedError."""
@@ -108,7 +114,9 @@ class TacShadeCamera(Camera):
         """
         self._check()
         with self._came:
-            self._came.wait_for(lambda: self._crash is not None or self._readable(), timeout_ms / 1000)
+            self._came.wait_for(
+                lambda: self._crash is not None or self._readable(), timeout_ms / 1000
+            )
             self._check()
             if not self._readable() or self._latest is None:
                 raise TimeoutError(f"{self}: no picture within {timeout_ms:.0f} ms")
@@ -125,7 +133,9 @@ class TacShadeCamera(Camera):
             if self._latest is None:
                 raise RuntimeError(f"{self}: no picture has arrived yet")
             if (age_ms := 1000 * (time.monotonic() - self._latest_s)) > max_age_ms:
-                raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms}")
+                raise TimeoutError(
+                    f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms}"
+                )
             return self._latest
 
     def read_latest_depth(self, max_age_ms: int = 500) -> F32:

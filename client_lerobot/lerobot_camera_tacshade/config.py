@@ -32,4 +32,6 @@ class TacShadeCameraConfig(CameraConfig):
 
     def __post_init__(self) -> None:
         if self.width != self.height or not self.width or not 8 <= self.width <= 1024:
-            raise ValueError(f"found a size of {self.width} x {self.height}, expected a square of 8 to 1024")
+            raise ValueError(
+                f"found a size of {self.width} x {self.height}, expected a square of 8 to 1024"
+            )

@@ -13,7 +13,16 @@ from .colours import F32, U8, to_rgb
 F64 = npt.NDArray[np.float64]
 
 TOPICS: Final = ("info", "height", "shear", "contact")
-TACTILE: Final = ("contact", "x_mm", "y_mm", "depth_max_mm", "volume_mm3", "shear_x_mm", "shear_y_mm", "slip")
+TACTILE: Final = (
+    "contact",
+    "x_mm",
+    "y_mm",
+    "depth_max_mm",
+    "volume_mm3",
+    "shear_x_mm",
+    "shear_y_mm",
+    "slip",
+)
 """The numbers of ``observation.tactile``, named as in the topic ``contact``; the volume is a measure of load."""
 REACH: Final = 1.02
 """Half the picture's side in radii of the visible circle, as in the daemon's own square of 112 x 112 cells."""
@@ -49,7 +58,9 @@ class Pictures:
                 picture = self._picture(contact)
                 self.passed_over += picture is None
                 if picture is not None:
-                    self.tactile = np.array([getattr(contact, name) or 0.0 for name in TACTILE], np.float32)
+                    self.tactile = np.array(
+                        [getattr(contact, name) or 0.0 for name in TACTILE], np.float32
+                    )
                 return picture
         return None
 
@@ -61,7 +72,11 @@ class Pictures:
             self.height_mm = _untouched(geometry, self._size_px)
             return to_rgb(self.height_mm, None)
         height, shear = self._height, self._shear
-        if height is None or height.seq != seq or height.calibration_crc32 != geometry.calibration_crc32:
+        if (
+            height is None
+            or height.seq != seq
+            or height.calibration_crc32 != geometry.calibration_crc32
+        ):
             return None
         cells = _cells(height, geometry, self._size_px)
         shear_mm = None
@@ -82,7 +97,9 @@ def tactile_feature() -> dict[str, Any]:
 def _pixels(geometry: InfoGeometry, size_px: int) -> tuple[F64, F64]:
     """The image rows and columns of the picture's cells in px, (size,) each."""
     along = (np.arange(size_px) + 0.5 - size_px / 2) * (2 * REACH * geometry.radius_px / size_px)
-    return np.asarray(geometry.row_c + along, np.float64), np.asarray(geometry.col_c + along, np.float64)
+    return np.asarray(geometry.row_c + along, np.float64), np.asarray(
+        geometry.col_c + along, np.float64
+    )
 
 
 def _untouched(geometry: InfoGeometry, size_px: int) -> F32:

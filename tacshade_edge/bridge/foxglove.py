@@ -9,7 +9,14 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, Literal
 
-from foxglove.messages import CompressedImage, FrameTransforms, Log, PointCloud, RawImage, SceneUpdate
+from foxglove.messages import (
+    CompressedImage,
+    FrameTransforms,
+    Log,
+    PointCloud,
+    RawImage,
+    SceneUpdate,
+)
 
 from tacshade_edge.bridge import foxglove_messages as made
 from tacshade_edge.bridge.roster import Refusals, Roster
@@ -51,7 +58,9 @@ _CHANNELS: Final[dict[str, tuple[Schema, tuple[str, ...]]]] = {
     "log": (Log.get_schema(), ("state", "status/+", "event/slip")),
     "tf": (FrameTransforms.get_schema(), ()),
 }
-_OWN: Final[dict[str, Schema]] = {"/tacshade/bridge": {"title": "tacshade.Bridge", "type": "object"}}
+_OWN: Final[dict[str, Schema]] = {
+    "/tacshade/bridge": {"title": "tacshade.Bridge", "type": "object"}
+}
 
 
 class _Sensor:
@@ -69,7 +78,11 @@ class _Sensor:
     @property
     def rank(self) -> int:
         """0 without an `info`; higher if the sensor is calibrated or alive, as an invented one hardly is."""
-        return 0 if self._info is None else 1 + (self._info.geometry is not None) + (self.state in ALIVE)
+        return (
+            0
+            if self._info is None
+            else 1 + (self._info.geometry is not None) + (self.state in ALIVE)
+        )
 
     def close(self) -> None:
         self._viewers.withdraw(list(self._channels.values()))
@@ -132,7 +145,9 @@ class _Sensor:
             return
         known = info.geometry
         if known is not None and (message.height_mm > known.skin_radius_mm).any():
-            raise DecodeError(f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm")
+            raise DecodeError(
+                f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm"
+            )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:
@@ -140,7 +155,9 @@ class _Sensor:
         self._skin_ns = message.t_ns
         rows, cols = message.height_mm.shape
         grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
-        self._keep("skin", lambda: made.skin(message.height_mm, grid, info, self._id, message.wall_ns))
+        self._keep(
+            "skin", lambda: made.skin(message.height_mm, grid, info, self._id, message.wall_ns)
+        )
 
     def _pose(self, message: HeightMessage | CloudMessage) -> None:
         if (pose := message.pose) is not None:
@@ -148,7 +165,9 @@ class _Sensor:
 
     def _line(self, topic: str, text: str, *, warns: bool) -> None:
         shown = escaped(text, _LOG_CHARS_MAX)
-        self._send("log", lambda: made.log(f"{self._base}/{topic}", shown, time.time_ns(), warns=warns))
+        self._send(
+            "log", lambda: made.log(f"{self._base}/{topic}", shown, time.time_ns(), warns=warns)
+        )
 
     def _keep(self, name: str, message: Callable[[], Any]) -> None:
         self._kept[name] = message
@@ -162,17 +181,24 @@ class _Sensor:
         one = message()
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
-            raise DecodeError(f"{name}: found {len(payload)} bytes for a viewer, expected at most {MESSAGE_BYTES_MAX}")
+            raise DecodeError(
+                f"{name}: found {len(payload)} bytes for a viewer, expected at most {MESSAGE_BYTES_MAX}"
+            )
         self._viewers.send(channel, payload)
 
 
 class FoxgloveBridge:
     """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed. Raises OSError."""
 
-    def __init__(self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]) -> None:
+    def __init__(
+        self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]
+    ) -> None:
         self._sensors, self._follow = sensors, follow
         self._roster: Roster[_Sensor] = Roster(
-            SENSORS_MAX, lambda name: _Sensor(name, self._viewers), lambda sensor: sensor.rank, _Sensor.close
+            SENSORS_MAX,
+            lambda name: _Sensor(name, self._viewers),
+            lambda sensor: sensor.rank,
+            _Sensor.close,
         )
         self._refusals = Refusals()
         self._lock = threading.Lock()
@@ -191,19 +217,27 @@ class FoxgloveBridge:
             return
         with self._lock:
             if not (found := _TOPIC.fullmatch(topic)):
-                self._refusals.add("unknown_topic", topic, "ignoring this topic, which is no sensor's")
+                self._refusals.add(
+                    "unknown_topic", topic, "ignoring this topic, which is no sensor's"
+                )
                 return
             sensor_id, rest = found.groups()
             try:
                 if rest == "info":
                     info = decode_info(payload)
-                    if (placed := self._roster.of(sensor_id, 1 + (info.geometry is not None))) is not None:
+                    if (
+                        placed := self._roster.of(sensor_id, 1 + (info.geometry is not None))
+                    ) is not None:
                         placed.place(info)
                         self._changed.set()
                     else:
                         text = f"ignoring this sensor: {SENSORS_MAX} are shown, the limit"
                         self._refusals.add("no_room", sensor_id, text)
-                elif sensor := self._roster.of(sensor_id, 0) if rest == "state" else self._roster.get(sensor_id):
+                elif (
+                    sensor := self._roster.of(sensor_id, 0)
+                    if rest == "state"
+                    else self._roster.get(sensor_id)
+                ):
                     sensor.hear(rest, payload)
             except DecodeError as error:
                 self._refusals.add("undecodable", sensor_id, str(error))
@@ -218,7 +252,11 @@ class FoxgloveBridge:
         if not self._changed.is_set():
             return
         self._changed.clear()
-        topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in self._sensors or ["+"] for name in ("info", "state")}
+        topics = {
+            f"tacshade/{sensor_id}/{name}"
+            for sensor_id in self._sensors or ["+"]
+            for name in ("info", "state")
+        }
         with self._lock:
             for _, sensor in self._roster:
                 topics |= sensor.wanted()

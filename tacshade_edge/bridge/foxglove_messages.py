@@ -40,7 +40,8 @@ SKIN_CELLS_MAX: Final = 48
 
 _DEEPEST_MM: Final = 3.0
 _COLOURS: Final = [
-    Color(r=0.35 + 0.6 * t, g=0.4 + 0.45 * t, b=0.55 - 0.4 * t, a=1.0) for t in np.linspace(0.0, 1.0, 64)
+    Color(r=0.35 + 0.6 * t, g=0.4 + 0.45 * t, b=0.55 - 0.4 * t, a=1.0)
+    for t in np.linspace(0.0, 1.0, 64)
 ]
 _FLOAT: Final = PackedElementFieldNumericType.Float32
 _CLOUD_FIELDS: Final = [
@@ -54,7 +55,8 @@ CONTACT_SCHEMA: Final = {
     "type": "object",
     # All values except the codes may be null, which the JSON Schema of viewers cannot express.
     "properties": {
-        field.name: {"type": "string" if field.name.endswith("_code") else "number"} for field in fields(Contact)
+        field.name: {"type": "string" if field.name.endswith("_code") else "number"}
+        for field in fields(Contact)
     },
 }
 
@@ -107,12 +109,21 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
     height_mm = height_mm[::every, ::every]
     rows, cols = height_mm.shape
     coarse = Grid(rows, cols, grid.row0, grid.col0, grid.step_px * every)
-    points = skin_points(height_mm, disc_rays(coarse, info.geometry.geometry), info.geometry.geometry) * M_PER_MM
+    points = (
+        skin_points(height_mm, disc_rays(coarse, info.geometry.geometry), info.geometry.geometry)
+        * M_PER_MM
+    )
     there = np.isfinite(points).all(axis=-1)
     number = np.cumsum(there).reshape(there.shape) - 1
     quads = there[:-1, :-1] & there[1:, :-1] & there[:-1, 1:] & there[1:, 1:]
-    a, b, c, d = (number[i : i + quads.shape[0], j : j + quads.shape[1]][quads] for i in (0, 1) for j in (0, 1))
-    depth = np.clip(height_mm[there] / _DEEPEST_MM * len(_COLOURS), 0, len(_COLOURS) - 1).astype(int)
+    a, b, c, d = (
+        number[i : i + quads.shape[0], j : j + quads.shape[1]][quads]
+        for i in (0, 1)
+        for j in (0, 1)
+    )
+    depth = np.clip(height_mm[there] / _DEEPEST_MM * len(_COLOURS), 0, len(_COLOURS) - 1).astype(
+        int
+    )
     triangles = TriangleListPrimitive(
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in points[there].tolist()],
@@ -121,7 +132,11 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
     )
     frame_id = frame_name(sensor_id, "sensor")
     entity = SceneEntity(
-        timestamp=timestamp(wall_ns), frame_id=frame_id, id=frame_id, frame_locked=True, triangles=[triangles]
+        timestamp=timestamp(wall_ns),
+        frame_id=frame_id,
+        id=frame_id,
+        frame_locked=True,
+        triangles=[triangles],
     )
     return SceneUpdate(entities=[entity])
 
@@ -140,7 +155,10 @@ def base_T_flange(pose: RobotPose, sensor_id: str, wall_ns: int) -> FrameTransfo
 
 def picture(jpeg: bytes, sensor_id: str, wall_ns: int) -> CompressedImage:
     return CompressedImage(
-        timestamp=timestamp(wall_ns), frame_id=frame_name(sensor_id, "sensor"), data=jpeg, format="jpeg"
+        timestamp=timestamp(wall_ns),
+        frame_id=frame_name(sensor_id, "sensor"),
+        data=jpeg,
+        format="jpeg",
     )
 
 
@@ -150,7 +168,9 @@ def log(topic: str, text: str, wall_ns: int, *, warns: bool) -> Log:
     return Log(timestamp=timestamp(wall_ns), level=level, message=text, name=topic)
 
 
-def _transform(values: tuple[float, ...], sensor_id: str, parent: Frame, child: Frame, wall_ns: int) -> FrameTransform:
+def _transform(
+    values: tuple[float, ...], sensor_id: str, parent: Frame, child: Frame, wall_ns: int
+) -> FrameTransform:
     x, y, z, qw, qx, qy, qz = values
     return FrameTransform(
         timestamp=timestamp(wall_ns),

@@ -45,7 +45,11 @@ class SensorMetrics:
 
     def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
-        self.topics = {f"tacshade/{sensor_id}/{name}" for sensor_id in sensors or ["+"] for name in ("state", "health")}
+        self.topics = {
+            f"tacshade/{sensor_id}/{name}"
+            for sensor_id in sensors or ["+"]
+            for name in ("state", "health")
+        }
         self._lock = threading.Lock()
         self._sensors: Roster[_Sensor] = Roster(SENSORS_MAX, lambda _: _Sensor(), self._rank)
         self._refusals = Refusals()
@@ -54,7 +58,9 @@ class SensorMetrics:
         """Process a message from the broker. A retained `health` may be old: it only shows that the sensor has one."""
         with self._lock:
             if not (found := _TOPIC.fullmatch(topic)):
-                self._refusals.add("unknown_topic", topic, "ignoring this topic, which is no sensor's")
+                self._refusals.add(
+                    "unknown_topic", topic, "ignoring this topic, which is no sensor's"
+                )
                 return
             sensor_id, name = found.groups()
             try:
@@ -70,13 +76,19 @@ class SensorMetrics:
         with self._lock:
             sensors = list(self._sensors)
             refused = dict(self._refusals.counts)
-            fresh = {name: sensor.health for name, sensor in sensors if sensor.health and self._is_alive(sensor)}
+            fresh = {
+                name: sensor.health
+                for name, sensor in sensors
+                if sensor.health and self._is_alive(sensor)
+            }
         up = GaugeMetricFamily(
             "tacshade_up",
             "1 while the daemon is running and publishing its health; absent once it has stopped",
             labels=["sensor"],
         )
-        state = GaugeMetricFamily("tacshade_state", "1 for the current state", labels=["sensor", "state"])
+        state = GaugeMetricFamily(
+            "tacshade_state", "1 for the current state", labels=["sensor", "state"]
+        )
         for name, sensor in sensors:
             # A sensor that never published its health is a replay; one that stopped did so on purpose.
             if sensor.has_health and sensor.state != "stopped":
@@ -84,7 +96,9 @@ class SensorMetrics:
             for one in STATES if sensor.state else ():
                 state.add_metric([name, one], float(sensor.state == one))
         refusals = CounterMetricFamily(
-            "tacshade_bridge_refused", "Messages that the bridge left out, by reason", labels=["why"]
+            "tacshade_bridge_refused",
+            "Messages that the bridge left out, by reason",
+            labels=["why"],
         )
         for why, count in refused.items():
             refusals.add_metric([why], count)
@@ -173,17 +187,79 @@ _Family = type[CounterMetricFamily] | type[GaugeMetricFamily]
 _GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
 _NO_OUTCOMES: Final = ("waiting", "pre_roll")
 # `captured` is left out of the frames' outcomes, as it is their sum; `pending` may fall, so it is a gauge.
-_OF_HEALTH: Final[tuple[tuple[_Family, str, str, tuple[str, ...], Callable[[Health], Samples]], ...]] = (
+_OF_HEALTH: Final[
+    tuple[tuple[_Family, str, str, tuple[str, ...], Callable[[Health], Samples]], ...]
+] = (
     (_GAUGE, "uptime_seconds", "Time since the daemon started", (), lambda h: {(): h.uptime_s}),
-    (_GAUGE, "capture_fps", "Frames per second that the camera delivered", (), lambda h: {(): h.capture_fps}),
-    (_GAUGE, "delivered_fps", "Frames per second that ended as they should", (), lambda h: {(): h.delivered_fps}),
-    (_GAUGE, "published_fps", "Frames per second that were published", (), lambda h: {(): h.published_fps}),
-    (_COUNTER, "frames", "Captured frames", ("outcome",), lambda h: _counts(h.frames, ("captured", "pending"))),
-    (_GAUGE, "frames_pending", "Frames in progress", (), lambda h: {(): h.frames.get("pending", 0)}),
-    (_COUNTER, "source_dropped", "Frames that never reached the daemon", (), lambda h: {(): h.source_dropped}),
-    (_GAUGE, "latency_seconds", "From time stamp to broker", ("percentile",), lambda h: _percentiles((), h.latency_ms)),
-    (_GAUGE, "stage_seconds", "Time that a stage takes, latest 512 frames", ("stage", "percentile"), _stages),
-    (_GAUGE, "reason", "1 for why the latest frame is invalid or degraded", ("about", "reason_code"), _reasons),
+    (
+        _GAUGE,
+        "capture_fps",
+        "Frames per second that the camera delivered",
+        (),
+        lambda h: {(): h.capture_fps},
+    ),
+    (
+        _GAUGE,
+        "delivered_fps",
+        "Frames per second that ended as they should",
+        (),
+        lambda h: {(): h.delivered_fps},
+    ),
+    (
+        _GAUGE,
+        "published_fps",
+        "Frames per second that were published",
+        (),
+        lambda h: {(): h.published_fps},
+    ),
+    (
+        _COUNTER,
+        "frames",
+        "Captured frames",
+        ("outcome",),
+        lambda h: _counts(h.frames, ("captured", "pending")),
+    ),
+    (
+        _GAUGE,
+        "frames_pending",
+        "Frames in progress",
+        (),
+        lambda h: {(): h.frames.get("pending", 0)},
+    ),
+    (
+        _COUNTER,
+        "source_dropped",
+        "Frames that never reached the daemon",
+        (),
+        lambda h: {(): h.source_dropped},
+    ),
+    (
+        _GAUGE,
+        "latency_seconds",
+        "From time stamp to broker",
+        ("percentile",),
+        lambda h: _percentiles((), h.latency_ms),
+    ),
+    (
+        _GAUGE,
+        "stage_seconds",
+        "Time that a stage takes, latest 512 frames",
+        ("stage", "percentile"),
+        _stages,
+    ),
+    (
+        _GAUGE,
+        "reason",
+        "1 for why the latest frame is invalid or degraded",
+        ("about", "reason_code"),
+        _reasons,
+    ),
     (_COUNTER, "mqtt", "Messages to the broker, by outcome", ("what",), lambda h: _counts(h.mqtt)),
-    (_COUNTER, "recorder_frames", "Frames for recordings", ("what",), lambda h: _counts(h.recorder, _NO_OUTCOMES)),
+    (
+        _COUNTER,
+        "recorder_frames",
+        "Frames for recordings",
+        ("what",),
+        lambda h: _counts(h.recorder, _NO_OUTCOMES),
+    ),
 )

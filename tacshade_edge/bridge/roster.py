@@ -21,7 +21,11 @@ class Roster(Generic[T]):
     """At most `most` sensors; when it is full, one of higher `rank` replaces that of lowest rank, which is closed."""
 
     def __init__(
-        self, most: int, make: Callable[[str], T], rank: Callable[[T], int], close: Callable[[T], None] = lambda _: None
+        self,
+        most: int,
+        make: Callable[[str], T],
+        rank: Callable[[T], int],
+        close: Callable[[T], None] = lambda _: None,
     ) -> None:
         self._most, self._make, self._rank, self._close = most, make, rank, close
         self._sensors: dict[str, T] = {}

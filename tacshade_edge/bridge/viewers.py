@@ -43,7 +43,9 @@ _SPEAK_S, _STALL_S, _CLOSE_S, _START_S = 5.0, 10.0, 0.5, 10.0
 _PROTOCOLS: Final = [Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1")]
 _MESSAGE: Final = struct.Struct("<BIQ")
 _TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
-_SERVER_INFO: Final = json.dumps({"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}})
+_SERVER_INFO: Final = json.dumps(
+    {"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}}
+)
 
 Schema: TypeAlias = foxglove.Schema | dict[str, Any]
 """The SDK's schema, or a JSON Schema with a title."""
@@ -53,7 +55,9 @@ Schema: TypeAlias = foxglove.Schema | dict[str, Any]
 class _Viewer:
     socket: ServerConnection
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    subscriptions: dict[int, int] = field(default_factory=dict)  # from channel to the viewer's own number
+    subscriptions: dict[int, int] = field(
+        default_factory=dict
+    )  # from channel to the viewer's own number
     waiting: deque[str | bytes] = field(default_factory=deque)
     waiting_bytes: int = 0
     missed: int = 0
@@ -89,7 +93,9 @@ class Viewers:
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
         self._numbers = itertools.count()
-        self._channels: dict[int, dict[str, Any]] = {}  # as the protocol's `advertise` describes them
+        self._channels: dict[
+            int, dict[str, Any]
+        ] = {}  # as the protocol's `advertise` describes them
         self._viewers: list[_Viewer] = []
         self.missed = 0
         self._listener = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
@@ -176,8 +182,12 @@ class Viewers:
 
     async def _carry(self, socket: ServerConnection) -> None:
         if len(self._viewers) >= VIEWERS_MAX:
-            _log.warning("turned a viewer away: %d viewers, the maximum, are already connected", VIEWERS_MAX)
-            await socket.close(_TRY_AGAIN, f"{VIEWERS_MAX} viewers, the maximum, are already connected")
+            _log.warning(
+                "turned a viewer away: %d viewers, the maximum, are already connected", VIEWERS_MAX
+            )
+            await socket.close(
+                _TRY_AGAIN, f"{VIEWERS_MAX} viewers, the maximum, are already connected"
+            )
             return
         viewer = _Viewer(socket)
         viewer.put(_SERVER_INFO)
@@ -194,7 +204,9 @@ class Viewers:
             self.missed += viewer.missed
             sending.cancel()
             if viewer.missed:
-                _log.info("a viewer that read too slowly missed %d messages before it left", viewer.missed)
+                _log.info(
+                    "a viewer that read too slowly missed %d messages before it left", viewer.missed
+                )
             self._on_change()
 
     def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
@@ -209,12 +221,16 @@ class Viewers:
                 for subscription in subscriptions:
                     self._subscribe(viewer, subscription)
             case {"op": "unsubscribe", "subscriptionIds": list(ids)}:
-                viewer.subscriptions = {c: own for c, own in viewer.subscriptions.items() if own not in ids}
+                viewer.subscriptions = {
+                    c: own for c, own in viewer.subscriptions.items() if own not in ids
+                }
         self._on_change()
 
     def _subscribe(self, viewer: _Viewer, subscription: Any) -> None:
         match subscription:
-            case {"id": int(own), "channelId": int(channel)} if 0 <= own < 2**32 and channel in self._channels:
+            case {"id": int(own), "channelId": int(channel)} if (
+                0 <= own < 2**32 and channel in self._channels
+            ):
                 if own not in viewer.subscriptions.values():
                     viewer.subscriptions.setdefault(channel, own)
             case {"channelId": int(channel)}:
@@ -240,7 +256,12 @@ def _described(number: int, topic: str, schema: Schema) -> dict[str, Any]:
     if isinstance(schema, dict):
         words = ("json", schema["title"], "jsonschema", json.dumps(schema))
     else:
-        words = (schema.encoding, schema.name, schema.encoding, base64.b64encode(schema.data).decode())
+        words = (
+            schema.encoding,
+            schema.name,
+            schema.encoding,
+            base64.b64encode(schema.data).decode(),
+        )
     keys = ("encoding", "schemaName", "schemaEncoding", "schema")
     return {"id": number, "topic": topic, **dict(zip(keys, words, strict=True))}
 

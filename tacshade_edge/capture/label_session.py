@@ -58,11 +58,17 @@ class LabelSession:
         ConfigError (the folder keeps what was taken before).
         """
         if self._rows:
-            self.terminal.say(f"this folder already has {counted(len(self._rows), 'labelled picture')}")
+            self.terminal.say(
+                f"this folder already has {counted(len(self._rows), 'labelled picture')}"
+            )
         self._take_rest()
         while True:
-            group = str(max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1)
-            match self.live.ask(f"press {group} (Enter, NAME=VALUE ..., touch, undo, done, help):").split():
+            group = str(
+                max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1
+            )
+            match self.live.ask(
+                f"press {group} (Enter, NAME=VALUE ..., touch, undo, done, help):"
+            ).split():
                 case ["done"]:
                     break
                 case ["help" | "?"]:
@@ -84,7 +90,9 @@ class LabelSession:
                 f"Make sure that nothing touches the skin{load}; Enter takes rest{' and tare' if self.scale else ''}."
             )
             since_s = time.monotonic()
-            blocks = [block_means(to_grey(one.image)) for one in self.live.frames(STILL_FRAMES, _REST_S)]
+            blocks = [
+                block_means(to_grey(one.image)) for one in self.live.frames(STILL_FRAMES, _REST_S)
+            ]
             try:
                 self.live.rest_grey = rest_grey_of(blocks)
             except ConfigError as error:
@@ -119,11 +127,17 @@ class LabelSession:
         if (frame := self.live.still_frame()) is None:
             return
         known = {**self._robot_labels(frame), **known}
-        self._keep([LabelRow(self.folder.add_image(np.array(frame.image)), known, group, frame.t_ns)])
+        self._keep(
+            [LabelRow(self.folder.add_image(np.array(frame.image)), known, group, frame.t_ns)]
+        )
 
     def _record(self, group: str) -> None:
         if self.scale is None and not (self.robot and self.robot.knows_first_touch):
-            expected = "touch first" if self.robot else "NAME=VALUE ..., because there is neither a scale nor a robot"
+            expected = (
+                "touch first"
+                if self.robot
+                else "NAME=VALUE ..., because there is neither a scale nor a robot"
+            )
             self.terminal.say(f"  found nothing, expected {expected} (type help)")
             return
         self.terminal.say("  press, then lift; Enter ends the press")
@@ -138,8 +152,14 @@ class LabelSession:
             change = self._change(block_means(to_grey(frame.image)))
             seen.append((frame.t_ns / 1e9, change))
             due = not rows or frame.t_ns - (rows[-1].t_ns or 0) >= _KEPT_EVERY_NS
-            if change > _CHANGE_FACTOR * self._rest_change + _CHANGE_GREY and due and len(rows) < _KEPT_MAX:
-                rows.append(LabelRow(self.folder.add_image(np.array(frame.image)), {}, group, frame.t_ns))
+            if (
+                change > _CHANGE_FACTOR * self._rest_change + _CHANGE_GREY
+                and due
+                and len(rows) < _KEPT_MAX
+            ):
+                rows.append(
+                    LabelRow(self.folder.add_image(np.array(frame.image)), {}, group, frame.t_ns)
+                )
                 held.append(replace(frame, image=_NO_IMAGE))
             while held and frame.t_ns - held[0].t_ns > _POSE_NS:
                 posed.append(self._robot_labels(held.popleft()))
@@ -186,8 +206,14 @@ class LabelSession:
         self._rows += rows
         written = self._with_force()
         self.folder.write(written)
-        names = ", ".join(sorted({name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index))
-        self.terminal.say(f"  press {rows[0].group}: {counted(len(rows), 'picture')} with {names or 'no quantity yet'}")
+        names = ", ".join(
+            sorted(
+                {name for row in written[-len(rows) :] for name in row.known}, key=QUANTITIES.index
+            )
+        )
+        self.terminal.say(
+            f"  press {rows[0].group}: {counted(len(rows), 'picture')} with {names or 'no quantity yet'}"
+        )
         if self._unposed:
             self.terminal.say(f"  some have no labels from the robot: {self._unposed}")
             self._unposed = ""
@@ -241,7 +267,9 @@ def _parse(words: Sequence[str]) -> dict[str, float]:
     for word in words:
         name, equals, text = word.partition("=")
         if not equals or name not in QUANTITIES:
-            raise ConfigError(f"found {word[:40]!r}, expected NAME=VALUE, where NAME is one of {', '.join(QUANTITIES)}")
+            raise ConfigError(
+                f"found {word[:40]!r}, expected NAME=VALUE, where NAME is one of {', '.join(QUANTITIES)}"
+            )
         if name in known:
             raise ConfigError(f"{name}: found two values, expected one value")
         known[name] = number("press", name, text)

@@ -77,7 +77,12 @@ class Terminal:
     def show(self, text: str) -> None:
         """Show a line that the next one replaces; only if the output is a terminal."""
         if self._is_live and text != self._shown:
-            print(f"{_CLEAR}{text[: shutil.get_terminal_size().columns - 1]}", end="", file=self._out, flush=True)
+            print(
+                f"{_CLEAR}{text[: shutil.get_terminal_size().columns - 1]}",
+                end="",
+                file=self._out,
+                flush=True,
+            )
             self._shown = text
 
 
@@ -95,7 +100,9 @@ _UNUSABLE_MAX = 100
 def rest_grey_of(blocks: Sequence[F32]) -> float:
     """Return the motion of pictures at rest in grey levels. Raises ConfigError if it is too large."""
     if (rest_grey := motion_grey(blocks)) > REST_MOST_GREY:
-        found = f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
+        found = (
+            f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
+        )
         raise ConfigError(f"the picture is moving or too noisy: {found}")
     return rest_grey
 
@@ -108,10 +115,14 @@ class Live:
     terminal: Terminal
     page: Page
     circle: Disc | None  # that SENSOR.yaml states; None to find it in the picture
-    rest_grey: float = 0.0  # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
+    rest_grey: float = (
+        0.0  # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
+    )
 
     def __post_init__(self) -> None:
-        self._past: deque[tuple[int, F32]] = deque(maxlen=_PAST_FRAMES)  # time in ns and block means of past frames
+        self._past: deque[tuple[int, F32]] = deque(
+            maxlen=_PAST_FRAMES
+        )  # time in ns and block means of past frames
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
         self._looking = False  # whether the person may be adjusting lens and circle
@@ -164,7 +175,9 @@ class Live:
             if not hinted and motion is not None and time.monotonic() - began_s > _HINT_S:
                 hinted = True
                 figures = f"{motion:.1f} grey levels, {self.rest_grey:.1f} at rest"
-                self.terminal.say(f"  the picture still moves ({figures}): clamp the indenter; Enter cancels")
+                self.terminal.say(
+                    f"  the picture still moves ({figures}): clamp the indenter; Enter cancels"
+                )
 
     def frames(self, count: int, seconds: float) -> list[Frame]:
         """Return `count` frames spread over at least `seconds`."""
@@ -194,7 +207,9 @@ class Live:
     def _take(self, frame: Frame) -> None:
         grey, now_s = to_grey(frame.image), time.monotonic()
         if self._past and self._past[-1][1].shape != (grey.shape[0] // 8, grey.shape[1] // 8):
-            raise DeviceError(f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px")
+            raise DeviceError(
+                f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px"
+            )
         self._past.append((frame.t_ns, block_means(grey)))
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             try:

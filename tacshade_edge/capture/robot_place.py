@@ -53,14 +53,18 @@ class RobotPlaces:
             return str(error)
         stated = Touch(float(x_mm), float(y_mm), float(depth_mm))
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
-        self._fixed[indenter, radius_mm] = fixed_indenter(held, stated, ball_radius_mm, self._sensor.skin_radius_mm)
+        self._fixed[indenter, radius_mm] = fixed_indenter(
+            held, stated, ball_radius_mm, self._sensor.skin_radius_mm
+        )
         return ""
 
     def columns(self, name: Name, frame: Frame) -> tuple[str, ...]:
         """Return the columns of PRESSES.csv for a press of a known indenter. Raises ConfigError."""
         fixed, held = self._fixed[name], _base_T_sensor(self._sensor, self._pose_at(frame))
         if name[0] != BALL and (turned_deg := fixed.turned_deg(held)) > _TURN_MOST_DEG:
-            expected = f"expected at most {_TURN_MOST_DEG} degrees for any indenter other than a ball"
+            expected = (
+                f"expected at most {_TURN_MOST_DEG} degrees for any indenter other than a ball"
+            )
             raise ConfigError(
                 f"found a sensor rotation of {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
             )
@@ -92,7 +96,9 @@ class RobotLabels:
         if self._first is None:
             return {}
         return labels_between(
-            self._first, _base_T_sensor(self._sensor, self._pose_at(frame)), self._sensor.skin_radius_mm
+            self._first,
+            _base_T_sensor(self._sensor, self._pose_at(frame)),
+            self._sensor.skin_radius_mm,
         )
 
 

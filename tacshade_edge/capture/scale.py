@@ -168,11 +168,15 @@ def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
     lags = [lag for press in presses if (lag := _lag_s(press, t_s, force)) is not None]
     if len(lags) < PRESSES_LEAST:
         found = f"found {len(lags)} presses (of {len(presses)}) in which picture and force rise and fall together"
-        raise ValueError(f"{found}, expected at least {PRESSES_LEAST}, each pressed and lifted while recording")
+        raise ValueError(
+            f"{found}, expected at least {PRESSES_LEAST}, each pressed and lifted while recording"
+        )
     error_s = float(np.std(lags, ddof=1) / np.sqrt(len(lags)))
     if error_s > ERROR_MOST_S:
         found = f"found clock offsets that differ by {1e3 * np.ptp(lags):.0f} ms between presses"
-        raise ValueError(f"{found}, expected a standard error of at most {1e3 * ERROR_MOST_S:.0f} ms")
+        raise ValueError(
+            f"{found}, expected a standard error of at most {1e3 * ERROR_MOST_S:.0f} ms"
+        )
     return ClockOffset(float(np.mean(lags)), error_s, len(lags))
 
 

@@ -109,10 +109,14 @@ class Session:
             except ConfigError as error:
                 self.terminal.say(f"  rejected: {error}")
                 if not self.live.has_circle:
-                    self.terminal.say("  or state visible_circle in SENSOR.yaml: the page shows rows and columns")
+                    self.terminal.say(
+                        "  or state visible_circle in SENSOR.yaml: the page shows rows and columns"
+                    )
                 continue
             self.folder.write_references(images)
-            self.terminal.say(f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels")
+            self.terminal.say(
+                f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels"
+            )
             return unloaded
 
     def _unloaded(self, images: Sequence[U8]) -> Calibration:
@@ -134,15 +138,25 @@ class Session:
         return f"{number} (ball RADIUS_MM DEPTH_MM X_MM Y_MM, undo, done, help):"
 
     def _undo(self, numbers: Sequence[str]) -> None:
-        chosen = [one for one in self._taken if [str(one.number)] == list(numbers)] if numbers else self._taken[-1:]
+        chosen = (
+            [one for one in self._taken if [str(one.number)] == list(numbers)]
+            if numbers
+            else self._taken[-1:]
+        )
         if not chosen:
             here = ", ".join(str(one.number) for one in self._taken) or "none"
-            self.terminal.say(f"  found no press {' '.join(numbers)}, expected one of those taken: {here}")
+            self.terminal.say(
+                f"  found no press {' '.join(numbers)}, expected one of those taken: {here}"
+            )
             return
         self.folder.remove(self._taken, chosen[0])
         self._taken = [one for one in self._taken if one is not chosen[0]]
-        if not self._at_robot():  # the robot may have moved since: the next press needs its new pose
-            (self.plan if chosen[0].stated in self._planned else self._again).insert(0, chosen[0].stated)
+        if (
+            not self._at_robot()
+        ):  # the robot may have moved since: the next press needs its new pose
+            (self.plan if chosen[0].stated in self._planned else self._again).insert(
+                0, chosen[0].stated
+            )
         self.terminal.say(f"  removed {chosen[0].image}")
 
     def _press(self, words: Sequence[str]) -> None:
@@ -169,7 +183,9 @@ class Session:
                 suggested.remove(press)
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self.terminal.say(f"  {added.image}: {press}{warning}")
-        if question := self._check.question(known_press(added.image, image, press.row(), self.names)):
+        if question := self._check.question(
+            known_press(added.image, image, press.row(), self.names)
+        ):
             self.terminal.say(f"  {question} (undo removes the press)")
         if self.robot and press is asked and (unknown := self.robot.learn(press.columns, frame)):
             self.terminal.say(f"  cannot find the next place from the robot's poses: {unknown}")
@@ -184,7 +200,9 @@ class Session:
     def _stated_by_robot(self, name: Name, frame: Frame) -> Stated:
         """Return the press of an indenter at the robot's pose. Raises ConfigError."""
         assert self.robot is not None
-        return stated("press", self.robot.columns(name, frame), self.names, self.sensor.skin_radius_mm)
+        return stated(
+            "press", self.robot.columns(name, frame), self.names, self.sensor.skin_radius_mm
+        )
 
     def _asked(self, words: Sequence[str]) -> Stated | Name:
         """Return the typed press, completed from the last one; only its indenter if the robot gives the rest. Raises
@@ -200,7 +218,9 @@ class Session:
         if not rest and self.robot:
             if self.robot.known((indenter, radius_mm)):
                 return indenter, radius_mm
-            raise ConfigError(f"found no press of {indenter} in this run, expected a first press with depth, x and y")
+            raise ConfigError(
+                f"found no press of {indenter} in this run, expected a first press with depth, x and y"
+            )
         if len(rest) not in (1, 3):
             found = f"found {len(rest)} values after the indenter"
             raise ConfigError(f"{found}, expected 1 (depth) or 3 (depth, x, y), in mm")
@@ -215,7 +235,9 @@ class Session:
         if words[0] in self.names:
             return words[0], "", words[1:]
         if not words[0].replace(".", "").replace("-", "").isdigit():
-            raise ConfigError(f"indenter: found {words[0]!r}, expected {' or '.join((BALL, *sorted(self.names)))}")
+            raise ConfigError(
+                f"indenter: found {words[0]!r}, expected {' or '.join((BALL, *sorted(self.names)))}"
+            )
         if not self._taken:
             raise ConfigError("found no indenter before the numbers, expected one")
         indenter, radius_mm, *_ = self._taken[-1].stated.columns

@@ -13,25 +13,51 @@ from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.version import installed_version
 
-_MISTAKES = (errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
+_MISTAKES = (
+    errno.ENAMETOOLONG,
+    errno.EACCES,
+    errno.ELOOP,
+    errno.ENOENT,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.EEXIST,
+)
 _CHARS_MAX = 4000  # length of a printed error, which may list all expected values
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("run", "run the daemon, which turns camera images into height maps and publishes them over MQTT"),
+    "run": (
+        "run",
+        "run the daemon, which turns camera images into height maps and publishes them over MQTT",
+    ),
     "demo": ("demo", "show simulated sensors live in a browser; no real sensor is needed"),
     "check-config": ("check_config", "check a settings file, or export its JSON Schema"),
     "doctor": ("doctor", "diagnose the camera, broker, serial ports and clock, and suggest fixes"),
-    "capture": ("capture", "take a sensor's reference images and presses step by step; start here with a new sensor"),
-    "calibrate": ("calibrate", "turn images of the untouched skin and of ball presses into a calibration file"),
+    "capture": (
+        "capture",
+        "take a sensor's reference images and presses step by step; start here with a new sensor",
+    ),
+    "calibrate": (
+        "calibrate",
+        "turn images of the untouched skin and of ball presses into a calibration file",
+    ),
     "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
     "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
-    "replay": ("replay", "reconstruct a recording again and write or publish the results, or compare two runs"),
+    "replay": (
+        "replay",
+        "reconstruct a recording again and write or publish the results, or compare two runs",
+    ),
     "export": ("export", "convert a recording to MCAP, CSV or PLY for other tools"),
-    "dashboard": ("dashboard", "serve a web page with live height maps, a 3-D view and sensor health"),
+    "dashboard": (
+        "dashboard",
+        "serve a web page with live height maps, a 3-D view and sensor health",
+    ),
     "bridge": ("bridge", "serve live data to Foxglove, Lichtblick and Prometheus"),
-    "evaluate": ("evaluate", "score profiles against ground truth, using the paper's Experiment 1 or your own images"),
+    "evaluate": (
+        "evaluate",
+        "score profiles against ground truth, using the paper's Experiment 1 or your own images",
+    ),
     "tradeoff": (
         "tradeoff",
         "measure speed and accuracy of profiles on this machine, and choose one for a time budget",
@@ -41,7 +67,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "combine images and the robot's poses into one large map, and score it against a known surface",
     ),
     "completion": ("completion", "print a shell script that completes commands and options"),
-    "simulate": ("simulate", "write simulated images with ground truth, a calibration set or a touchpad scan"),
+    "simulate": (
+        "simulate",
+        "write simulated images with ground truth, a calibration set or a touchpad scan",
+    ),
 }
 
 
@@ -53,7 +82,9 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
+def command_line(
+    is_wanted: Callable[[str], bool],
+) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
     """Return the command line's parser and the modules of the wanted commands; only these get their options."""
     parser = argparse.ArgumentParser(
         prog="tacshade-edge",
@@ -64,7 +95,9 @@ def command_line(is_wanted: Callable[[str], bool]) -> tuple[argparse.ArgumentPar
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = {}
     for name, (module_name, summary) in COMMANDS.items():
-        sub = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        sub = commands.add_parser(
+            name, help=summary, description=summary[0].upper() + summary[1:] + "."
+        )
         sub.set_defaults(parser=sub)
         if is_wanted(name):
             modules[name] = importlib.import_module(f"tacshade_edge.cli.commands.{module_name}")
@@ -93,7 +126,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output closed it, as `| head` does
         sys.stderr.close()
         return EXIT_FAILED
-    except OSError as error:  # of a path that Python could not even look at: too long a name, a closed folder
+    except (
+        OSError
+    ) as error:  # of a path that Python could not even look at: too long a name, a closed folder
         if error.filename is None or args.command == "run":
             raise
         print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)

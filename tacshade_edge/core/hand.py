@@ -22,8 +22,15 @@ from tacshade_edge.types import F64, frozen
 
 Triple = tuple[float, float, float]
 LEVER_MM: Final = 20.0  # distance from the axis of the point whose travel measures a rotation
-SHEAR_SD_MM, SHEAR_SD_PART = 0.05, 0.2  # of a change of shear along each axis, and its increase per mm of motion
-DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = 0.07, 0.4, 1.5  # of depth; grows over the first 1.5 mm
+SHEAR_SD_MM, SHEAR_SD_PART = (
+    0.05,
+    0.2,
+)  # of a change of shear along each axis, and its increase per mm of motion
+DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = (
+    0.07,
+    0.4,
+    1.5,
+)  # of depth; grows over the first 1.5 mm
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
 """A direction is unobserved if its standard deviation would exceed this after each patch moved by `NOMINAL_MM`."""
@@ -54,9 +61,18 @@ class _Patches:
 
     def __init__(self, patches: Iterable[Patch]) -> None:
         rows = np.array(
-            [(*p.place_mm, *p.normal, *p.axis, *p.shear_mm, p.depth_mm, p.twist_deg) for p in patches], np.float64
+            [
+                (*p.place_mm, *p.normal, *p.axis, *p.shear_mm, p.depth_mm, p.twist_deg)
+                for p in patches
+            ],
+            np.float64,
         ).reshape(-1, 14)
-        self.place_mm, self.normal, self.axis, self.shear_mm = rows[:, :3], rows[:, 3:6], rows[:, 6:9], rows[:, 9:12]
+        self.place_mm, self.normal, self.axis, self.shear_mm = (
+            rows[:, :3],
+            rows[:, 3:6],
+            rows[:, 6:9],
+            rows[:, 9:12],
+        )
         self.depth_mm, self.twist_rad = rows[:, 12], np.radians(rows[:, 13])
 
 
@@ -130,7 +146,9 @@ def _solved(link: _Link, now: _Patches, guess: _Motion) -> _Motion:
         m = rotation - rotation.T
         twist_rest = twisted_rad - axes @ (0.5 * np.array((m[2, 1], m[0, 2], m[1, 0]))) * LEVER_MM
         # The damping keeps a direction defined that a contact no longer shows after turning over.
-        information = np.tensordot(rows, weighted, ((0, 1), (0, 1))) + twist_rows.T @ twist_rows + damping
+        information = (
+            np.tensordot(rows, weighted, ((0, 1), (0, 1))) + twist_rows.T @ twist_rows + damping
+        )
         gradient = np.tensordot(rest_mm, weighted, 2) + twist_rest @ twist_rows
         covariance = np.linalg.inv(information)
         step = directions @ (covariance @ gradient)
@@ -171,11 +189,15 @@ def _jacobian(arms_mm: F64) -> F64:
     return rows
 
 
-UNSEEN_MM_S: Final = 10.0  # growth of the deviation of an unobserved direction that a link passes to the next
+UNSEEN_MM_S: Final = (
+    10.0  # growth of the deviation of an unobserved direction that a link passes to the next
+)
 REST_SHARE: Final = 0.1
 """Part of its covariance that a link without motion passes to the next: both see the error of the instant between them
 with opposite signs, so only the difference of their weights remains."""
-RECENTRED_MM: Final = 0.1  # the reported point is amid the holding patches, if that changes its motion by less
+RECENTRED_MM: Final = (
+    0.1  # the reported point is amid the holding patches, if that changes its motion by less
+)
 GAIN_SD: Final = 0.2  # relative error common to all fingers' shear: skins of one make follow an object by the same part
 FARTHEST_LINE_MM: Final = 200.0  # a rotation about a line farther away counts as a translation
 _SCALE = np.array([1.0] * 3 + [LEVER_MM] * 3)
@@ -260,7 +282,12 @@ class ObjectTracker:
 
 def _next_link(state: _State, seen: Mapping[str, Patch]) -> _State:
     """Keep the motion so far, and begin another link at these patches."""
-    link, base, motion, about_mm = _begun(_Patches(seen.values())), state.whole(), state.motion, state.about_mm
+    link, base, motion, about_mm = (
+        _begun(_Patches(seen.values())),
+        state.whole(),
+        state.motion,
+        state.about_mm,
+    )
     unseen_mm = min(UNKNOWN_SD_MM, UNSEEN_MM_S * (state.seen_ns - state.began_ns) / 1e9)
     way = np.append(motion.translation_mm, LEVER_MM * turned_rad(motion.rotation))
     moved_sd_mm = SHEAR_SD_PART * float(np.linalg.norm(way))
@@ -276,7 +303,12 @@ def _next_link(state: _State, seen: Mapping[str, Patch]) -> _State:
 def _fitted(state: _State, t_ns: int, stick: Mapping[str, Patch]) -> _State:
     """Fit the link's motion to its patches now."""
     seen = {key: stick[key] for key in state.seen}
-    return replace(state, seen=seen, seen_ns=t_ns, motion=_solved(state.link, _Patches(seen.values()), state.motion))
+    return replace(
+        state,
+        seen=seen,
+        seen_ns=t_ns,
+        motion=_solved(state.link, _Patches(seen.values()), state.motion),
+    )
 
 
 def _spread(state: _State, unseen_mm: float, share: float) -> F64:
@@ -289,7 +321,8 @@ def _spread(state: _State, unseen_mm: float, share: float) -> F64:
     carried[:3, :3] = carried[3:, 3:] = moved.rotation
     carried[:3, 3:] = -_moved_to(moved.translation_mm)[:3, 3:] @ moved.rotation
     return np.asarray(
-        to_origin @ (share * motion.covariance + blind @ blind.T) @ to_origin.T + carried @ state.spread @ carried.T
+        to_origin @ (share * motion.covariance + blind @ blind.T) @ to_origin.T
+        + carried @ state.spread @ carried.T
     )
 
 
@@ -305,8 +338,12 @@ def _unobserved(link: _Link, spread: F64) -> tuple[Unobserved, ...]:
     """The motions that a link and those before it do not show."""
     change = _moved_to(link.middle_mm)
     before = change @ spread @ change.T * np.outer(_SCALE, _SCALE)
-    values, directions = np.linalg.eigh(before + UNKNOWN_SD_MM**2 * (link.unobserved @ link.unobserved.T))
-    return tuple(_line(directions[:, i], link.middle_mm) for i in np.flatnonzero(values > OBSERVED_SD_MM**2))
+    values, directions = np.linalg.eigh(
+        before + UNKNOWN_SD_MM**2 * (link.unobserved @ link.unobserved.T)
+    )
+    return tuple(
+        _line(directions[:, i], link.middle_mm) for i in np.flatnonzero(values > OBSERVED_SD_MM**2)
+    )
 
 
 def _line(direction: F64, middle_mm: F64) -> Unobserved:
@@ -329,4 +366,6 @@ def _reported(state: _State) -> ObjectMotion:
     translation_mm, rotation_rad = now_mm - state.about_mm, turned_rad(whole.rotation)
     gained = GAIN_SD * np.concatenate((translation_mm, rotation_rad))
     covariance = change @ _spread(state, UNKNOWN_SD_MM, 1.0) @ change.T + np.outer(gained, gained)
-    return ObjectMotion(state.since_ns, state.about_mm, translation_mm, rotation_rad, covariance, state.unobserved)
+    return ObjectMotion(
+        state.since_ns, state.about_mm, translation_mm, rotation_rad, covariance, state.unobserved
+    )

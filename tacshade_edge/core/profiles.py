@@ -16,7 +16,9 @@ class Profile:
     name: str
     solver: str
     stride_px: int  # of eq. 1, and so of every later map
-    window_pitches: int  # side of eq. 1's window: whole pitches, so that the pattern itself averages out
+    window_pitches: (
+        int  # side of eq. 1's window: whole pitches, so that the pattern itself averages out
+    )
     tv_weight: float  # of the total-variation denoising, in units of g/255; 0 for none
     halved: bool = False  # work on means over 2x2 px of every camera, not only of noisy ones
     cells: int = disc_map.CELLS  # along a side of the network's map
@@ -25,7 +27,9 @@ class Profile:
 
 DEFAULT = "balanced"  # the profile if the user names none
 
-_LEARNED = Profile("accurate", "learned", stride_px=4, window_pitches=2, tv_weight=0.0, network="accurate")
+_LEARNED = Profile(
+    "accurate", "learned", stride_px=4, window_pitches=2, tv_weight=0.0, network="accurate"
+)
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
@@ -36,6 +40,10 @@ PROFILES: dict[str, Profile] = {
     )
 }
 
-GATE = replace(_LEARNED, name="gate", network=None, halved=True)  # of the pictures that gate and judges see
+GATE = replace(
+    _LEARNED, name="gate", network=None, halved=True
+)  # of the pictures that gate and judges see
 
-LADDER: tuple[str, ...] = tuple(name for name in ("accurate", "balanced", "fast") if name in PROFILES)  # of `AUTO`
+LADDER: tuple[str, ...] = tuple(
+    name for name in ("accurate", "balanced", "fast") if name in PROFILES
+)  # of `AUTO`

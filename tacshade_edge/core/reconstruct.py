@@ -18,7 +18,14 @@ from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check import Judges, Measured, first_reason, picture, size_reason, skin
+from tacshade_edge.core.frame_check import (
+    Judges,
+    Measured,
+    first_reason,
+    picture,
+    size_reason,
+    skin,
+)
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import Profile
@@ -38,7 +45,17 @@ from tacshade_edge.types import (
     TouchModel,
 )
 
-STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch")  # in order
+STAGES = (
+    "check",
+    "grey",
+    "gate",
+    "denoise",
+    "depth",
+    "shear",
+    "cloud",
+    "sigma",
+    "touch",
+)  # in order
 
 
 def no_mark(stage: str) -> None:
@@ -67,17 +84,27 @@ class Reconstructor:
         # The judges and the gate see the same pictures in every profile.
         self._seen = seen = gate_preprocessor(calibration, self._preprocessor)
         disc, grey = seen.calibration.geometry.disc, seen.calibration.reference_grey
-        self._judges = Judges(grey, disc, None if network else seen.calibration.pitch_px, seen.camera_px)
+        self._judges = Judges(
+            grey, disc, None if network else seen.calibration.pitch_px, seen.camera_px
+        )
         self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
         self._gate = ContactGate(seen)
         self.gate_part = self._gate.least_part if network else self._gate.plain_part
         self._solver = SOLVERS[profile.solver](self._preprocessor, network)
         self._touch = touch
-        self._touch_part = touch.gate_part if isinstance(touch, TouchModel) else 0.0 if isinstance(touch, list) else 1.0
+        self._touch_part = (
+            touch.gate_part
+            if isinstance(touch, TouchModel)
+            else 0.0
+            if isinstance(touch, list)
+            else 1.0
+        )
         self.changed_part = 0.0
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
-        self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(np.float32)
+        self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(
+            np.float32
+        )
         self._zero_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2)
         self._sigma = None if network is None else network.sigma
         self._nothing = Reconstruction(
@@ -93,12 +120,16 @@ class Reconstructor:
             height=self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool)),
             cloud=ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)),
             shear_mm=self._zero_shear_mm if network is not None else None,
-            sigma_mm=None if self._sigma is None else np.full(self._zero_mm.shape, np.nan, np.float32),
+            sigma_mm=None
+            if self._sigma is None
+            else np.full(self._zero_mm.shape, np.nan, np.float32),
         )
         self._grey_space: U8 = np.empty(self._shape, np.uint8)
         self._white_space = seen.integrator.space()
         shared = seen is self._preprocessor
-        self._own_white_space = self._white_space if shared else self._preprocessor.integrator.space()
+        self._own_white_space = (
+            self._white_space if shared else self._preprocessor.integrator.space()
+        )
 
     @overload
     def step(self, frame: Frame, mark: Mark = ...) -> Reconstruction: ...
@@ -106,7 +137,9 @@ class Reconstructor:
     @overload
     def step(self, frame: Frame, mark: Mark = ..., need: Need = ...) -> Reconstruction | None: ...
 
-    def step(self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL) -> Reconstruction | None:
+    def step(
+        self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL
+    ) -> Reconstruction | None:
         """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end. With the need ``CONTACT``,
         a frame in contact returns None; without ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
         """
@@ -116,7 +149,9 @@ class Reconstructor:
         reason = reason or (None if unchanged else first_reason(self._judges.measured(grey)))
         mark("check")
         if reason or unchanged:
-            return self._empty(frame, reason=reason, degraded=self._unchanged.degraded if unchanged else None)
+            return self._empty(
+                frame, reason=reason, degraded=self._unchanged.degraded if unchanged else None
+            )
 
         preprocessed = self._seen.preprocess(grey, self._white_space)
         drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
@@ -130,7 +165,9 @@ class Reconstructor:
         mark("gate")
         # `quiet`: no request would find more in this frame.
         quiet = not isinstance(self._touch, TouchModel | list) or changed_part < self._touch_part
-        if changed_part < (min(self._touch_part, self.gate_part) if Need.TOUCH in need else self.gate_part):
+        if changed_part < (
+            min(self._touch_part, self.gate_part) if Need.TOUCH in need else self.gate_part
+        ):
             if quiet:
                 self._unchanged.keep(grey, degraded)
             return self._empty(frame, degraded=degraded)
@@ -138,7 +175,9 @@ class Reconstructor:
         if need == Need.CONTACT and changed_part >= SURE_PART:
             return None
 
-        features: list[F32] | None = [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
+        features: list[F32] | None = (
+            [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
+        )
         if self._preprocessor is not self._seen:
             own = self._preprocessor.grey(frame.image, self._grey_space)
             preprocessed = self._preprocessor.preprocess(own, self._own_white_space)
@@ -157,11 +196,16 @@ class Reconstructor:
             mark("shear")
 
         # The map without contact, 0 or NaN, adds NaN outside the disc.
-        height_mm = np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm)) + self._zero_mm
+        height_mm = (
+            np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
+            + self._zero_mm
+        )
         contact = contact_of(depth, self.rays.inside)
         objects = None
         if changed_part >= self.gate_part:
-            objects = find_objects(contact, height_mm, shear_mm, self.rays, self.calibration.geometry)
+            objects = find_objects(
+                contact, height_mm, shear_mm, self.rays, self.calibration.geometry
+            )
         mark("cloud")
         if objects is None:
             made = self._empty(frame, degraded=degraded)
@@ -176,7 +220,9 @@ class Reconstructor:
         if Need.SIGMA in need:
             sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
             mark("sigma")
-        untrusted = depth.untrusted if depth.untrusted is not None and depth.untrusted.any() else None
+        untrusted = (
+            depth.untrusted if depth.untrusted is not None and depth.untrusted.any() else None
+        )
         whole = self._empty(
             frame,
             degraded=degraded,
@@ -201,15 +247,22 @@ class Reconstructor:
             preprocessed = self._seen.preprocess(grey)
             drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
             made += picture.white_measured(preprocessed.unseen, drift_grey)
-            if first_reason(made) is None and self._gate.changed_part(preprocessed) >= self.gate_part:
+            if (
+                first_reason(made) is None
+                and self._gate.changed_part(preprocessed) >= self.gate_part
+            ):
                 made += skin.map_measured(self.depth(image).untrusted_logit, self.rays.inside)
         return made
 
     def depth(self, image: U8) -> Depth:
         """The solver's depth for an image, without frame check and gate."""
-        return self._solver.solve(self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark)
+        return self._solver.solve(
+            self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark
+        )
 
-    def _with_touch(self, made: Reconstruction, features: list[F32] | None, mark: Mark) -> Reconstruction:
+    def _with_touch(
+        self, made: Reconstruction, features: list[F32] | None, mark: Mark
+    ) -> Reconstruction:
         touch: Touch | None
         if isinstance(self._touch, Reason):
             touch = Touch(reason=self._touch)
@@ -217,7 +270,11 @@ class Reconstructor:
             imprint = imprint_of(made.objects, made.volume_mm3) if made.contact else None
             touch = touch_by_model(self._touch, np.concatenate(features), imprint)
         else:
-            touch = touch_without_labels(made.objects, made.shear_of_contact_mm) if made.contact else None
+            touch = (
+                touch_without_labels(made.objects, made.shear_of_contact_mm)
+                if made.contact
+                else None
+            )
             if isinstance(self._touch, list) and features:
                 self._touch.append(np.concatenate(features))
         mark("touch")
@@ -227,7 +284,9 @@ class Reconstructor:
         if self._sigma is None or depth.contact_logit is None or depth.untrusted_logit is None:
             return None
         calibration = self.calibration
-        x = terms(height_mm, depth.contact_logit, depth.untrusted_logit, contact, calibration.geometry)
+        x = terms(
+            height_mm, depth.contact_logit, depth.untrusted_logit, contact, calibration.geometry
+        )
         scale = calibration.error_scale(self.profile.name) or self._sigma.scale_without_presses
         made: F32 = np.full(contact.shape, np.nan, np.float32)
         sigma_mm = sigma_of_scale_1(self._sigma, x, calibration.geometry) * np.float32(scale)
@@ -237,7 +296,14 @@ class Reconstructor:
     def _empty(self, frame: Frame, **found: Any) -> Reconstruction:
         """The reconstruction without contact or of an invalid frame, exactly 0 inside the disc, but for `found`."""
         valid = found.get("reason") is None
-        return replace(self._nothing, seq=frame.seq, t_ns=frame.t_ns, wall_ns=frame.wall_ns, valid=valid, **found)
+        return replace(
+            self._nothing,
+            seq=frame.seq,
+            t_ns=frame.t_ns,
+            wall_ns=frame.wall_ns,
+            valid=valid,
+            **found,
+        )
 
     def _map(self, height_mm: F32, contact: Bool) -> HeightMap:
         return HeightMap(height_mm, contact, self.grid.row0, self.grid.col0, self.grid.step_px)

@@ -87,10 +87,19 @@ class App:
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._source = source
         self.ledger = FrameLedger()
-        self.link = links.make_link(document, on_request=self._on_mqtt_request, on_outcome=self._on_outcome)
-        sinks = (self.link.offer, self.link.publish_event, self.ledger.settle, self.link.has_listener)
+        self.link = links.make_link(
+            document, on_request=self._on_mqtt_request, on_outcome=self._on_outcome
+        )
+        sinks = (
+            self.link.offer,
+            self.link.publish_event,
+            self.ledger.settle,
+            self.link.has_listener,
+        )
         self._publisher = Publisher(*sinks, always_shear=settings.shear == "always")
-        self._home_assistant = HomeAssistant(self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant)
+        self._home_assistant = HomeAssistant(
+            self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant
+        )
         robot = self._make_robot(robot_line)
         self._recorder = LiveRecorder(
             partial(self.link.set_retained, "status/recorder"),
@@ -105,17 +114,31 @@ class App:
         known = self._references.calibration
         profile = PROFILES.get(settings.profile, PROFILES[LADDER[-1]])
         first = known if isinstance(known, Reason) else make_reconstructor(known, profile)
-        self._active = ActiveProfile(first, settings.profile, settings.latency_budget_ms, self._events.put)
+        self._active = ActiveProfile(
+            first, settings.profile, settings.latency_budget_ms, self._events.put
+        )
         self._sessions = self._make_sessions(robot)
         timings = Timings()
         self._health = Health(self.ledger, timings)
         self._preview = Preview(self.link)
         # In the order in which they see a frame: sessions before publishing, since a subscriber that sees a contact may
         # begin one.
-        parts: list[FrameObserver | None] = [self._sessions, self._publisher, ContactEvents(self.link.publish_event)]
-        parts += [self._health, self._preview, self._references, self._make_reporter(hand_line), robot]
+        parts: list[FrameObserver | None] = [
+            self._sessions,
+            self._publisher,
+            ContactEvents(self.link.publish_event),
+        ]
+        parts += [
+            self._health,
+            self._preview,
+            self._references,
+            self._make_reporter(hand_line),
+            robot,
+        ]
         parts += [self._active, self._recorder]
-        self._observers: tuple[FrameObserver, ...] = tuple(part for part in parts if part is not None)
+        self._observers: tuple[FrameObserver, ...] = tuple(
+            part for part in parts if part is not None
+        )
         self._pipeline = Pipeline(
             source,
             lambda: self._active.reconstructor,
@@ -148,7 +171,9 @@ class App:
             return None
         from tacshade_edge.daemon.session_worker import Sessions
 
-        return Sessions(Path(settings.stitching.folder), settings.sensor_id, self.link.set_retained, robot)
+        return Sessions(
+            Path(settings.stitching.folder), settings.sensor_id, self.link.set_retained, robot
+        )
 
     def _make_reporter(self, line: FingerLine | None) -> FrameObserver | None:
         if line is None or not (hand_T_sensor := self._document.settings.hand_T_sensor):
@@ -190,7 +215,9 @@ class App:
                 next_health_s = now_s + HEALTH_PERIOD_S
                 self._publish_health()
                 self._look_for_calibration()
-                self._service.tick(self._published_camera or self._camera, self._latest_health["delivered_fps"])
+                self._service.tick(
+                    self._published_camera or self._camera, self._latest_health["delivered_fps"]
+                )
             if now_s >= next_preview_s:
                 next_preview_s = now_s + PREVIEW_PERIOD_S
                 self._preview.publish()
@@ -198,7 +225,9 @@ class App:
             for observer in self._observers:
                 observer.poll()
             try:
-                event = self._events.get(timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic()))
+                event = self._events.get(
+                    timeout=max(0.0, min(next_health_s, next_preview_s) - time.monotonic())
+                )
             except Empty:
                 continue
             if event == "stop":
@@ -224,9 +253,13 @@ class App:
         """Apply what the settings file says now; if it is bad, change nothing."""
         notify_reloading()
         try:
-            document, calibration, waiting = reload(self._document, calibrated=self._missing() is None)
+            document, calibration, waiting = reload(
+                self._document, calibrated=self._missing() is None
+            )
         except ConfigError as error:
-            note: Reason | None = Reason(error.code, f"rejected the reload and kept the running settings: {error}")
+            note: Reason | None = Reason(
+                error.code, f"rejected the reload and kept the running settings: {error}"
+            )
             _log.warning("%s", note)
             if self._missing():
                 self._active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
@@ -234,7 +267,9 @@ class App:
         else:
             self._document, settings = document, document.settings
             self._references.reload(calibration, reference_file.path_beside(settings.calibration))
-            self._active.reload(settings.profile, settings.latency_budget_ms, self._references.calibration)
+            self._active.reload(
+                settings.profile, settings.latency_budget_ms, self._references.calibration
+            )
             for observer in self._observers:
                 observer.settings_changed(settings)
             self._recorder.event("reload", waiting=list(waiting))
@@ -273,7 +308,9 @@ class App:
         for due_s, stop in sorted(stops, key=itemgetter(0)):
             stop(left_s(due_s))
         self._publish_health()
-        self._publish_state(replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped")))
+        self._publish_state(
+            replace(self._camera, state="ended", reason=Reason(ReasonCode.STOPPED, "stopped"))
+        )
         self.link.stop(left_s(LINK_STOPPED_S))
         _log.info("stopped: %s", self.ledger.counts().as_dict())
 
@@ -289,7 +326,11 @@ class App:
 
     def _on_request(self, request: Request, reply: Reply) -> None:
         if self._events.qsize() >= EVENTS_MAX:
-            reply(Reason(ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are already waiting; try again"))
+            reply(
+                Reason(
+                    ReasonCode.BUSY, f"busy: {EVENTS_MAX} requests are already waiting; try again"
+                )
+            )
         else:
             self._events.put((request, reply))
 
@@ -314,7 +355,9 @@ class App:
         elif isinstance(running, Reason):
             reply(running)
         elif request.verb == "record":
-            self._recorder.handle(request, reply, self._document.settings, running, self._camera_now())
+            self._recorder.handle(
+                request, reply, self._document.settings, running, self._camera_now()
+            )
         elif request.verb == "profile":
             reply(self._choose_profile(request.profile))
         elif request.verb == "reference":
@@ -330,7 +373,9 @@ class App:
             expected = f"one of {', '.join(self._active.choices)}"
             if name == AUTO:
                 expected += "; the settings give no latency budget"
-            return Reason(ReasonCode.UNKNOWN_PROFILE, f"profile: found {shown(name, 60)}, expected {expected}")
+            return Reason(
+                ReasonCode.UNKNOWN_PROFILE, f"profile: found {shown(name, 60)}, expected {expected}"
+            )
         self._active.choose(name)
         self._changed()
         _log.info("using profile %s", name)
@@ -345,7 +390,9 @@ class App:
         """Record and publish that the reconstructor was replaced."""
         reconstructor = self._active.reconstructor
         if not isinstance(reconstructor, Reason):
-            self._recorder.reconstructs_with(reconstructor.profile.name, reconstructor.calibration.crc32)
+            self._recorder.reconstructs_with(
+                reconstructor.profile.name, reconstructor.calibration.crc32
+            )
         self._publish_info()
 
     # Publishing.
@@ -370,15 +417,23 @@ class App:
             for observer in self._observers:
                 observer.source_changed(camera)
             reason = camera.reason
-            if reason is None or reason.code is ReasonCode.STARTING or camera.state not in ("away", "unusable"):
+            if (
+                reason is None
+                or reason.code is ReasonCode.STARTING
+                or camera.state not in ("away", "unusable")
+            ):
                 _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
             else:
                 fix = sources.how_to_fix(self._document.settings.source, reason.code)
                 _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
-            self.link.set_retained("status/camera", messages.encode_status(camera.state, camera.reason, camera.details))
+            self.link.set_retained(
+                "status/camera", messages.encode_status(camera.state, camera.reason, camera.details)
+            )
         if limit != self._published_limit:
             self._published_limit = limit
-            self.link.set_retained("status/broker", messages.encode_status("limited" if limit else "connected", limit))
+            self.link.set_retained(
+                "status/broker", messages.encode_status("limited" if limit else "connected", limit)
+            )
         if camera.state != "ended":
             sound = camera.state == "streaming" and limit is None
             self.link.set_retained("state", b"online" if sound else b"degraded")
@@ -389,7 +444,9 @@ class App:
             version=installed_version(),
             config_digest=digest(self._document.settings),
             profile=self._active.name,
-            calibration=reconstructor if isinstance(reconstructor, Reason) else reconstructor.calibration,
+            calibration=reconstructor
+            if isinstance(reconstructor, Reason)
+            else reconstructor.calibration,
             profiles=self._active.choices,
             choice=self._active.choice,
             reference=self._references.info(),
@@ -402,12 +459,20 @@ class App:
     def _status(self) -> dict[str, Any]:
         """The latest ``health`` and the state, for ``req/status``."""
         camera = self._camera_now()
-        return {"source": camera.state, **reason_fields(camera.reason), "health": self._latest_health}
+        return {
+            "source": camera.state,
+            **reason_fields(camera.reason),
+            "health": self._latest_health,
+        }
 
     def _publish_health(self) -> None:
         self._latest_health = {
             **self._health.snapshot(self._source.dropped, self.link.counters()),
-            **{observer.health_key: observer.health() for observer in self._observers if observer.health_key},
+            **{
+                observer.health_key: observer.health()
+                for observer in self._observers
+                if observer.health_key
+            },
         }
         self._active.log_late()
         self._publisher.fps = self._latest_health["delivered_fps"]
@@ -418,7 +483,9 @@ class App:
 RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 
-def reload(running: Document, *, calibrated: bool) -> tuple[Document, Calibration | Reason, tuple[str, ...]]:
+def reload(
+    running: Document, *, calibrated: bool
+) -> tuple[Document, Calibration | Reason, tuple[str, ...]]:
     """Read the settings and the calibration again; there must be one if there was (`calibrated`). The result has the
     running settings for every key in `RESTART_KEYS`, and names those that changed. Raises ConfigError.
     """

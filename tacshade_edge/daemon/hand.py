@@ -70,7 +70,9 @@ class Lines:
     def end(self, name: str) -> None:
         """Report for a finger that its process has ended."""
         if name in self.fingers:
-            self.fingers[name].report(away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended")))
+            self.fingers[name].report(
+                away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended"))
+            )
 
     def want(self, wanted: bool) -> None:
         """Notify all fingers whether somebody listens to the hand."""
@@ -105,7 +107,11 @@ class FingerReporter(FrameObserver):
             self._reported = None
             return
         now = (result.contact, result.valid)
-        if result.contact or now != self._reported or not 0 <= result.t_ns - self._reported_ns < PERIOD_NS:
+        if (
+            result.contact
+            or now != self._reported
+            or not 0 <= result.t_ns - self._reported_ns < PERIOD_NS
+        ):
             self._reported, self._reported_ns = now, result.t_ns
             self._line.report(finger_of(result, self._hand_T_sensor))
 
@@ -208,7 +214,9 @@ class HandProcess:
 
     def _on_request(self, request: Request) -> None:
         text = f"a hand accepts no requests; send req/{request.verb} to one of its sensors"
-        self._link.reply(request, requests.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text)))
+        self._link.reply(
+            request, requests.encode_reply(request, Reason(ReasonCode.UNAVAILABLE, text))
+        )
 
 
 def run(hand: Hand, lines: Lines) -> None:

@@ -51,7 +51,9 @@ class Pipeline:
         self.ledger = ledger
         self._mailbox: Mailbox[Frame] = Mailbox()
         self.reconstruct = Reconstruct(running, self._mailbox, timings, observers, posed)
-        self.grab = Grab(source, self._mailbox, ledger, report, observers, self.reconstruct.wants_next)
+        self.grab = Grab(
+            source, self._mailbox, ledger, report, observers, self.reconstruct.wants_next
+        )
         # Daemon threads: a read or a step that hangs must not keep the process.
         self._threads = (
             threading.Thread(target=self.grab.run, name="grab", daemon=True),
@@ -72,7 +74,11 @@ class Pipeline:
         reconstruct.join(max(0.0, deadline - time.monotonic()))
         left = [thread.name for thread in self._threads if thread.is_alive()]
         if left:
-            _log.warning("stopping without %s, which did not finish within %.1f s", " and ".join(left), timeout_s)
+            _log.warning(
+                "stopping without %s, which did not finish within %.1f s",
+                " and ".join(left),
+                timeout_s,
+            )
         return not left
 
 
@@ -190,12 +196,18 @@ class Grab:
         while not self._stop.is_set():
             wanted = self._wants_next()
             try:
-                went_on = self._read(wanted) if wanted or any(each.tap for each in self._tapping) else self._skip()
+                went_on = (
+                    self._read(wanted)
+                    if wanted or any(each.tap for each in self._tapping)
+                    else self._skip()
+                )
             except DecodeError as error:
                 _log.debug("%s", error)
                 self.attempts += 1
                 self._ledger.passed("failed")
-                if self._reported is None:  # before any frame it is the source's state; in a stream it only counts
+                if (
+                    self._reported is None
+                ):  # before any frame it is the source's state; in a stream it only counts
                     self._change_state(SourceState("away", error.reason))
                 continue
             if not went_on:

@@ -88,14 +88,18 @@ class ProfileChooser:
         frames = len(self._latency_ms)
         within_ms = sorted(self._latency_ms)[math.ceil(0.9 * frames) - 1]
         full = frames == WINDOW_FRAMES
-        self.standing = Standing(frames, within_ms, False if late > LATE_FRAMES else True if full else None)
+        self.standing = Standing(
+            frames, within_ms, False if late > LATE_FRAMES else True if full else None
+        )
         at = self._ladder.index(profile)
         if late > LATE_FRAMES and not self.lowest:
             text = f"{late} of the latest {frames} frames in contact took more than {self.budget_ms:g} ms"
             failed = self._trial and self._frames < TRIAL_FRAMES
             doubled_s = min(2 * self._patience_s[profile], LONGEST_PATIENCE_S)
             self._patience_s[profile] = doubled_s if failed else PATIENCE_S
-            return self._step(Step(self, self._ladder[at + 1], Reason(ReasonCode.OVER_BUDGET, text)), now_s)
+            return self._step(
+                Step(self, self._ladder[at + 1], Reason(ReasonCode.OVER_BUDGET, text)), now_s
+            )
         better = self._ladder[max(at - 1, 0)]
         if not full or at == 0 or now_s - self._since_s < self._patience_s[better]:
             return None
@@ -156,7 +160,9 @@ class ActiveProfile(FrameObserver):
         self.budget_ms = budget_ms
         self.choice = choice
         if not isinstance(reconstructor, Reason):
-            self._install(choice, reconstructor.calibration, {reconstructor.profile.name: reconstructor})
+            self._install(
+                choice, reconstructor.calibration, {reconstructor.profile.name: reconstructor}
+            )
 
     @property
     def name(self) -> str:
@@ -186,7 +192,9 @@ class ActiveProfile(FrameObserver):
             self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in names}
             self.reconstructor = self._kept[running.profile.name]
 
-    def reload(self, choice: str, budget_ms: float | None, calibration: Calibration | Reason) -> None:
+    def reload(
+        self, choice: str, budget_ms: float | None, calibration: Calibration | Reason
+    ) -> None:
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
         self.choice, self.budget_ms = choice, budget_ms
         if unchanged or isinstance(calibration, Reason):
@@ -226,7 +234,10 @@ class ActiveProfile(FrameObserver):
     def observe(self, profile: str, now_ns: int, latency_ms: float, own_ms: float) -> None:
         """Let `AUTO` judge a latency, including `own_ms` of reconstruction."""
         chooser = self._chooser
-        if chooser is not None and (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None:
+        if (
+            chooser is not None
+            and (step := chooser.observe(profile, now_ns / 1e9, latency_ms, own_ms)) is not None
+        ):
             self._report(step)
 
     def log_late(self) -> None:
@@ -243,11 +254,16 @@ class ActiveProfile(FrameObserver):
             found = "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms"
             _log.warning(found, chooser.profile, chooser.budget_ms, chooser.standing.within_ms)
 
-    def _install(self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]) -> None:
+    def _install(
+        self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]
+    ) -> None:
         """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
         self.choice, self._late_logged, self._calm_s = choice, False, 0
         names = LADDER if choice == AUTO and self.budget_ms is not None else (choice,)
-        self._kept = {name: ready.get(name) or make_reconstructor(calibration, PROFILES[name]) for name in names}
+        self._kept = {
+            name: ready.get(name) or make_reconstructor(calibration, PROFILES[name])
+            for name in names
+        }
         if choice != AUTO or self.budget_ms is None:
             self._chooser = None
             self.reconstructor = self._kept[choice]

@@ -35,7 +35,10 @@ _ENTITIES: Final = {
 
 def discovery_topics(sensor_id: str) -> tuple[str, ...]:
     """The full topics of the announcements."""
-    return tuple(f"homeassistant/{component}/{sensor_id}/{name}/config" for name, component in _ENTITIES.items())
+    return tuple(
+        f"homeassistant/{component}/{sensor_id}/{name}/config"
+        for name, component in _ENTITIES.items()
+    )
 
 
 def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
@@ -44,7 +47,11 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
     """
     base = f"tacshade/{sensor_id}"
     online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
-    device = {"identifiers": [f"tacshade_{sensor_id}"], "name": f"TacShade {sensor_id}", "model": "TacShade"}
+    device = {
+        "identifiers": [f"tacshade_{sensor_id}"],
+        "name": f"TacShade {sensor_id}",
+        "model": "TacShade",
+    }
     common = {
         "device": {**device, "sw_version": version},
         "origin": {"name": "tacshade-edge", "sw_version": version},
@@ -92,7 +99,9 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
         },
     }
     return {
-        topic: msgspec.json.encode({**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common})
+        topic: msgspec.json.encode(
+            {**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common}
+        )
         for topic, name in zip(discovery_topics(sensor_id), _ENTITIES, strict=True)
     }
 
@@ -140,7 +149,9 @@ class Publisher(FrameObserver):
         # All are encoded first, and handed over last: the link's thread then does not take turns with this one.
         payloads: list[tuple[str, bytes]] = []
         crc32 = 0 if seen.calibration is None else seen.calibration.crc32
-        taken = wire.Taken(calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us)
+        taken = wire.Taken(
+            calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us
+        )
         height_goes = changed or (result.contact and self.has_listener("height"))
         if height_goes:
             payloads.append(("height", wire.encode_height(result, **taken)))
@@ -203,9 +214,16 @@ class ContactEvents(FrameObserver):
             self._send("end", frame, end_ns=self._touched_ns)
             self._start_ns = None
 
-    def _send(self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None) -> None:
+    def _send(
+        self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None
+    ) -> None:
         self._sent_ns = frame.t_ns
-        values = {**self._greatest, "t_ns": frame.t_ns, "wall_ns": frame.wall_ns, "start_ns": self._start_ns}
+        values = {
+            **self._greatest,
+            "t_ns": frame.t_ns,
+            "wall_ns": frame.wall_ns,
+            "start_ns": self._start_ns,
+        }
         event = ContactEvent(type=type_, id=self._count, end_ns=end_ns, **values)
         self._publish_event("event/contact", encode_json(event))
 
@@ -299,7 +317,9 @@ class Preview(FrameObserver):
             return
         self._published = frame
         size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
-        _, jpeg = cv2.imencode(".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA))
+        _, jpeg = cv2.imencode(
+            ".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA)
+        )
         self._link.offer("preview", jpeg.tobytes(), frame.seq)
 
 
@@ -323,7 +343,9 @@ class HomeAssistant:
         if not self._wanted or self._announced == tuple(profiles):
             return
         self._announced = tuple(profiles)
-        for topic, payload in encode_discovery(self._sensor_id, version=installed_version(), profiles=profiles).items():
+        for topic, payload in encode_discovery(
+            self._sensor_id, version=installed_version(), profiles=profiles
+        ).items():
             self._link.set_retained(f"/{topic}", payload)
         self._link.set_retained(STATUS, encode_status(ANNOUNCED))
 

@@ -89,7 +89,12 @@ TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "sto
 SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the frame source has no more frames")
 DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
 # These endings are normal and leave the recorder idle; any other is a reason that it stopped.
-GOOD_ENDINGS = (ReasonCode.TIME, ReasonCode.STOPPED, ReasonCode.SOURCE_ENDED, ReasonCode.DAEMON_STOPPED)
+GOOD_ENDINGS = (
+    ReasonCode.TIME,
+    ReasonCode.STOPPED,
+    ReasonCode.SOURCE_ENDED,
+    ReasonCode.DAEMON_STOPPED,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +164,9 @@ class _Recording:
 
     def now(self) -> Recorded:
         recorder = self.recorder
-        return Recorded(recorder.folder, recorder.frames, recorder.bytes, self.refused + self.lost, self.ending)
+        return Recorded(
+            recorder.folder, recorder.frames, recorder.bytes, self.refused + self.lost, self.ending
+        )
 
 
 class LiveRecorder(FrameObserver):
@@ -188,7 +195,9 @@ class LiveRecorder(FrameObserver):
         self._counts = {"written": 0, "dropped": 0}  # of recordings that ended
         self._pre_roll_ns = round(pre_roll_s * 1e9)
         self._oldest_ns = 0  # older frames are of another calibration
-        self._pre_roll = self._refused = self._given_up = 0  # frames: kept, refused by the queue, without room
+        self._pre_roll = self._refused = self._given_up = (
+            0  # frames: kept, refused by the queue, without room
+        )
         self._calibration_crc32: int | None = None
         self._published, self._published_s = b"", 0.0
         self._published_folder: Path | None = None
@@ -205,16 +214,25 @@ class LiveRecorder(FrameObserver):
         self.poll()
 
     def handle(
-        self, request: Request, reply: Reply, settings: Settings, reconstructor: Reconstructor, source: SourceState
+        self,
+        request: Request,
+        reply: Reply,
+        settings: Settings,
+        reconstructor: Reconstructor,
+        source: SourceState,
     ) -> None:
         try:
             if request.action == "start":
                 reply({"folder": str(self._start(request, settings, reconstructor, source))})
             elif (recording := self._recording) is None:
-                raise DeviceError(f"found no recording to {request.action}", code=ReasonCode.NO_RECORDING)
+                raise DeviceError(
+                    f"found no recording to {request.action}", code=ReasonCode.NO_RECORDING
+                )
             elif request.action == "mark":
                 self.event("mark", text=request.text)
-                reply({"folder": str(recording.recorder.folder), "frames": recording.recorder.frames})
+                reply(
+                    {"folder": str(recording.recorder.folder), "frames": recording.recorder.frames}
+                )
             elif self._stop_reply is not None:
                 raise DeviceError("busy: the recording is already stopping", code=ReasonCode.BUSY)
             else:
@@ -224,12 +242,26 @@ class LiveRecorder(FrameObserver):
             reply(error.reason)
         self.poll()
 
-    def _start(self, request: Request, settings: Settings, reconstructor: Reconstructor, source: SourceState) -> Path:
+    def _start(
+        self,
+        request: Request,
+        settings: Settings,
+        reconstructor: Reconstructor,
+        source: SourceState,
+    ) -> Path:
         name = request.name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         folder = Path(settings.recorder.folder) / name
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
-        about = {"version": installed_version(), "profile": profile, "calibration_crc32": calibration.crc32}
-        make = Recorder if request.format == "folder" else partial(McapRecorder, sensor_id=settings.sensor_id)
+        about = {
+            "version": installed_version(),
+            "profile": profile,
+            "calibration_crc32": calibration.crc32,
+        }
+        make = (
+            Recorder
+            if request.format == "folder"
+            else partial(McapRecorder, sensor_id=settings.sensor_id)
+        )
         replayable = to_yaml(msgspec.structs.replace(settings, calibration=CALIBRATION_NAME))
         try:
             self.begin(folder, request.seconds, replayable, calibration, about, make)
@@ -254,7 +286,9 @@ class LiveRecorder(FrameObserver):
     ) -> None:
         """Begin a recording in a new folder; `about` goes to ``recording.json``. Raises TacshadeError."""
         if (now := self.now()) is not None:
-            doing = "still writing the latest recording to" if now.ending else "already recording to"
+            doing = (
+                "still writing the latest recording to" if now.ending else "already recording to"
+            )
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder)
         recording = _Recording(recorder, settings_yaml, calibration, about, seconds)
@@ -339,7 +373,11 @@ class LiveRecorder(FrameObserver):
         folder = recording.recorder.folder if recording else None
         if recording is not None:
             seconds = {"seconds": round((time.monotonic_ns() - recording.began_ns) / 1e9, 1)}
-            details: dict[str, Any] = {**recording.now().as_dict(), **seconds, "of_seconds": recording.seconds}
+            details: dict[str, Any] = {
+                **recording.now().as_dict(),
+                **seconds,
+                "of_seconds": recording.seconds,
+            }
             status = encode_status("recording", None, details)
         elif latest is None:
             status = encode_status("idle")
@@ -387,7 +425,10 @@ class LiveRecorder(FrameObserver):
 
     def _bound(self, oldest_ns: int) -> None:
         """Keep only the pre-roll; without one, nothing."""
-        kept, oldest_ns = self._kept, max(oldest_ns, self._oldest_ns) if self._pre_roll_ns else 2**63
+        kept, oldest_ns = (
+            self._kept,
+            max(oldest_ns, self._oldest_ns) if self._pre_roll_ns else 2**63,
+        )
         while kept and (isinstance(kept[0], str) or kept[0].t_ns < oldest_ns):
             kept.popleft()
         too_many_bytes = sum(map(_size, kept)) - PRE_ROLL_BYTES
@@ -422,7 +463,9 @@ class LiveRecorder(FrameObserver):
 
     def _finish(self, recording: _Recording) -> None:
         now = recording.now()
-        times = dict(zip(("first_t_ns", "first_wall_ns"), recording.first or (None, None), strict=True))
+        times = dict(
+            zip(("first_t_ns", "first_wall_ns"), recording.first or (None, None), strict=True)
+        )
         try:
             recording.recorder.finish({**now.as_dict(), **times, **recording.about})
         except DeviceError as error:

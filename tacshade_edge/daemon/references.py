@@ -59,7 +59,9 @@ class UntouchedFrames:
         if not known or not self.at_rest:
             self._touched_ns = now_ns
             self._discard()
-        elif self._finished is None and now_ns >= max(self._due_ns, self._touched_ns + int(REST_S * 1e9)):
+        elif self._finished is None and now_ns >= max(
+            self._due_ns, self._touched_ns + int(REST_S * 1e9)
+        ):
             doubt = result.degraded if result else None
             if doubt:
                 self._discard()
@@ -82,7 +84,9 @@ class Origin:
     calibration: Calibration
     source: Literal["calibration", "request"] = "calibration"
     wall_ns: int | None = None
-    reason: Reason | None = None  # why a stored one is not used, or why this one will not outlive a restart
+    reason: Reason | None = (
+        None  # why a stored one is not used, or why this one will not outlive a restart
+    )
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -110,7 +114,9 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
     return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
 
 
-def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None) -> Origin:
+def requested(
+    calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None
+) -> Origin:
     """Take a new reference; store it if no other daemon owns the file. Raises ConfigError for unusable images."""
     taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
     reason = unowned
@@ -120,7 +126,9 @@ def requested(calibrated: Calibration, images: Sequence[U8], path: Path, unowned
         except DeviceError as error:
             reason = error.reason
     if reason is not None:
-        reason = Reason(reason.code, f"{reason}; this reference lasts only until the next start or reload")
+        reason = Reason(
+            reason.code, f"{reason}; this reference lasts only until the next start or reload"
+        )
     _log.info("took a new reference from %d frames%s", len(images), f": {reason}" if reason else "")
     return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)
 
@@ -224,9 +232,13 @@ class References(FrameObserver):
             return
         self._unowned = None
         try:
-            self._lock = FolderLock(self._path.parent, f"sensor {self._sensor_id}", file=self._path.name)
+            self._lock = FolderLock(
+                self._path.parent, f"sensor {self._sensor_id}", file=self._path.name
+            )
         except DeviceError as error:
-            if error.code is ReasonCode.IN_USE:  # a folder that cannot be written is reported when something is stored
+            if (
+                error.code is ReasonCode.IN_USE
+            ):  # a folder that cannot be written is reported when something is stored
                 _log.warning("%s; this daemon does not store new references", error)
                 self._unowned = error.reason
 
@@ -308,5 +320,7 @@ def _figures(distance: Distance | None) -> dict[str, float | None]:
     values = (drift.shift_px, drift.moved_px, drift.light, drift.uneven, drift.contrast)
     return {
         key: round(value, 3)
-        for key, value in zip(keys, (*values, distance.common_grey, distance.patch_grey), strict=True)
+        for key, value in zip(
+            keys, (*values, distance.common_grey, distance.patch_grey), strict=True
+        )
     }

@@ -94,7 +94,11 @@ def replay(
         timer.begin()
         result = step_and_track(reconstructor, tracker, frame, timer.mark)
         assert result is not None  # by default everything is needed
-        if progress.frames == 0 and result.reason is not None and result.reason.code is ReasonCode.SIZE:
+        if (
+            progress.frames == 0
+            and result.reason is not None
+            and result.reason.code is ReasonCode.SIZE
+        ):
             raise ConfigError(f"{recorded.name}: {result.reason.text}")
         for deliver in sinks:
             deliver(recorded, result)
@@ -128,7 +132,9 @@ class Playback:
         self._paused = False
         self._steps = self._backs = 0
         self._seek_ns: int | None = None  # after the first frame
-        self._start: tuple[int, int] | None = None  # our time and the recording's when the present pace began
+        self._start: tuple[int, int] | None = (
+            None  # our time and the recording's when the present pace began
+        )
         self._first_ns: int | None = None
         self._last_ns = 0  # time of the latest frame that was shown
         self._seq: int | None = None
@@ -220,7 +226,9 @@ class Playback:
             self._changed(self.status())
             with self._wake:
                 again = bool(
-                    self._wake.wait_for(lambda: not self._paused or self._steps or self._wound, REPORT_PERIOD_S)
+                    self._wake.wait_for(
+                        lambda: not self._paused or self._steps or self._wound, REPORT_PERIOD_S
+                    )
                 )
         with self._wake:
             if not self._wound:
@@ -235,7 +243,9 @@ REPLAY = Reason(ReasonCode.REPLAY, "replay")
 class ReplayLink:
     """Publishes what `run` would, under a separate sensor id; with `wait`, nothing is superseded."""
 
-    def __init__(self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool) -> None:
+    def __init__(
+        self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool
+    ) -> None:
         self._where = f"{broker['host']}:{broker['port']}"
         self._calibration = reconstructor.calibration
         self._profile = reconstructor.profile.name
@@ -264,7 +274,10 @@ class ReplayLink:
     def start(self) -> None:
         """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""
         info = messages.encode_info(
-            version=installed_version(), config_digest="replay", profile=self._profile, calibration=self._calibration
+            version=installed_version(),
+            config_digest="replay",
+            profile=self._profile,
+            calibration=self._calibration,
         )
         self._link.set_retained("info", info)
         self._link.set_retained("status/camera", messages.encode_status("streaming", REPLAY))
@@ -274,7 +287,9 @@ class ReplayLink:
         while not self._link.connected:
             if time.monotonic() > deadline_s:
                 reason = self._link.reason or Reason(ReasonCode.NO_ANSWER, "no answer")
-                expected = f"expected a connection to the broker at {self._where} within {CONNECT_S:.0f} s"
+                expected = (
+                    f"expected a connection to the broker at {self._where} within {CONNECT_S:.0f} s"
+                )
                 raise DeviceError(f"{reason}; {expected}", code=reason.code)
             pause.wait(0.02)
         self._began_s = time.monotonic()
@@ -284,7 +299,10 @@ class ReplayLink:
         self._frames += 1
         self._publisher.fps = self._frames / max(1e-3, time.monotonic() - self._began_s)
         self._publisher.see(FrameResult(recorded.frame, self._calibration, result))
-        if self.playback is not None and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S:
+        if (
+            self.playback is not None
+            and (now_s := time.monotonic()) > self._reported_s + PLAYBACK_PERIOD_S
+        ):
             self._reported_s = now_s
             self.report_playback(self.playback.status())
         if self._wait:
@@ -320,6 +338,7 @@ class ReplayLink:
             self._link.reply(request, requests.encode_reply(request, status))
             return
         refusal = Reason(
-            ReasonCode.UNAVAILABLE, "a replay does not accept this request (replay --play accepts req/replay)"
+            ReasonCode.UNAVAILABLE,
+            "a replay does not accept this request (replay --play accepts req/replay)",
         )
         self._link.reply(request, requests.encode_error(request.transaction, refusal))

@@ -91,7 +91,9 @@ class FollowingChannel:
         self._hears = hears
         self._motion = motion
         self._stop = threading.Event()
-        self._line = LineState(PortState("away", Reason(ReasonCode.STARTING, "starting")), "ASCII", 0, {})
+        self._line = LineState(
+            PortState("away", Reason(ReasonCode.STARTING, "starting")), "ASCII", 0, {}
+        )
 
     def line(self) -> LineState:
         """The owner's line, as far as known; for any thread."""
@@ -110,7 +112,10 @@ class FollowingChannel:
                 heard = _decoder.decode(self._hears.recv(_BYTES_MAX))
             except TimeoutError:
                 if time.monotonic_ns() - heard_ns > SILENT_NS and self._line.port.state == "open":
-                    reason = Reason(ReasonCode.NO_ANSWER, f"{self._owner}, which owns the port, is sending nothing")
+                    reason = Reason(
+                        ReasonCode.NO_ANSWER,
+                        f"{self._owner}, which owns the port, is sending nothing",
+                    )
                     self._line = msgspec.structs.replace(self._line, port=PortState("away", reason))
                 continue
             if isinstance(heard, LineState):
@@ -171,7 +176,9 @@ class Robot(FrameObserver):
         if self._shared and self._shared.ends:
             before = self._forwarded
             changed = before is None or (line.port, line.mode) != (before.port, before.mode)
-            if changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS:  # a change at once, its counts once a second
+            if (
+                changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS
+            ):  # a change at once, its counts once a second
                 self._forwarded, self._forwarded_ns = line, now_ns
                 self._shared.forward(line)
         port = line.port
@@ -182,8 +189,13 @@ class Robot(FrameObserver):
             state, reason = "silent" if silent else "connected", sync.reason
             details = {**port.details, "mode": line.mode, "sync": sync.mode}
             if silent:
-                reason = Reason(ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s")
-            elif reason is None and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS:
+                reason = Reason(
+                    ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s"
+                )
+            elif (
+                reason is None
+                and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS
+            ):
                 text = f"the port's chip holds bytes back for {latency_ms} ms; tacshade-edge doctor explains the fix"
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
         status = encode_status(state, reason, details)
@@ -193,7 +205,12 @@ class Robot(FrameObserver):
 
     def health(self) -> dict[str, Any]:
         frames = {"frames_with_pose": self._with_pose, "frames_without_pose": self._without_pose}
-        return {**self._channel.line().counts, **self.motion.as_dict(), **frames, **self._touch.as_dict()}
+        return {
+            **self._channel.line().counts,
+            **self.motion.as_dict(),
+            **frames,
+            **self._touch.as_dict(),
+        }
 
     def need(self) -> Need:
         """Depth while a capture waits, and touches while the robot has switched them on."""

@@ -18,7 +18,13 @@ from tacshade_edge.daemon.observer import FrameWaiters, Reply
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import ClockRead, FrameCaptured, LineStatus, SerialResult, TouchSwitched
+from tacshade_edge.protocol.results import (
+    ClockRead,
+    FrameCaptured,
+    LineStatus,
+    SerialResult,
+    TouchSwitched,
+)
 from tacshade_edge.protocol.serial.clock_sync import ClockSync, SyncState
 from tacshade_edge.protocol.serial.commands import (
     Command,
@@ -94,7 +100,9 @@ class RobotMotion:
             sample = None if robot is None else self._poses.at(robot.t_ns)
         if robot is None or sample is None:
             return None
-        return replace(sample.pose, t_ns=t_ns), -(-(robot.error_ns + sample.extrapolated_ns) // 1000)
+        return replace(sample.pose, t_ns=t_ns), -(
+            -(robot.error_ns + sample.extrapolated_ns) // 1000
+        )
 
     def state(self) -> SyncState:
         with self._lock:
@@ -171,7 +179,11 @@ class TouchEvents:
             if result.contact:
                 return None  # the frame was begun before the request
             ended, self._touches = self._touches, False
-            return TouchSeen(result.seq, result.t_ns, False, tuple((n, None) for n in asked.names)) if ended else None
+            return (
+                TouchSeen(result.seq, result.t_ns, False, tuple((n, None) for n in asked.names))
+                if ended
+                else None
+            )
         self._touches = True
         period_ns = 1_000_000_000 // asked.rate_hz
         if result.t_ns < self._due_ns - _JITTER * period_ns:
@@ -192,9 +204,15 @@ class SerialCommands:
     missing: Callable[[], Reason | None]
     wake: Callable[[], None]  # called when an answer waits to be sent
     touch: TouchEvents
-    stitch: Callable[[str, str, Reply], None] | None = None  # BEGIN, ADD, END, ABORT or STATUS, and a name
-    _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(default_factory=SimpleQueue)
-    _captures: FrameWaiters = field(default_factory=partial(FrameWaiters, "captures are already waiting"))
+    stitch: Callable[[str, str, Reply], None] | None = (
+        None  # BEGIN, ADD, END, ABORT or STATUS, and a name
+    )
+    _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(
+        default_factory=SimpleQueue
+    )
+    _captures: FrameWaiters = field(
+        default_factory=partial(FrameWaiters, "captures are already waiting")
+    )
 
     def handle(self, command: Command, link: SerialLink) -> None:
         """Start a command; called in the serial thread."""
@@ -202,7 +220,9 @@ class SerialCommands:
             t1_ns, *rest = map(int, command.args)
             t3_ns = time.monotonic_ns()
             link.answer(command, ClockRead(command.arrived_ns, t3_ns))
-            self.motion.hear(ClockExchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None))
+            self.motion.hear(
+                ClockExchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None)
+            )
         elif command.verb == "STATUS":
             link.answer(command, self._status(link))
         elif (missing := self.missing()) is not None:
@@ -371,7 +391,10 @@ class SerialChannel:
                 self._missing += received.missing
                 self._motion.hear(PoseHeard(received.sample, received.arrived_ns))
             elif isinstance(received, Greeted):
-                _log.info("the robot sent a greeting%s", f", boot {received.boot}" if received.boot else "")
+                _log.info(
+                    "the robot sent a greeting%s",
+                    f", boot {received.boot}" if received.boot else "",
+                )
                 self._motion.hear(RobotRestarted())
                 self._commands.touch.switch(None)
             else:
@@ -387,7 +410,10 @@ class SerialChannel:
             self._link.notify(f"GAP poses={self._missing}")
             if now_ns - self._gap_logged_ns >= GAP_LOG_PERIOD_NS:
                 self._gap_logged_ns = now_ns
-                _log.info("lost %d poses so far, judging by gaps in the sequence numbers", self._link.counts.poses_lost)
+                _log.info(
+                    "lost %d poses so far, judging by gaps in the sequence numbers",
+                    self._link.counts.poses_lost,
+                )
             self._missing, self._gap_sent_ns = 0, now_ns
         sync = self._motion.state()
         if sync.mode != self._sent_sync:

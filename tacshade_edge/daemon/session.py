@@ -82,7 +82,9 @@ class MapPublisher:
             folder=revision.folder,
         )
         numbers = {"revision": revision.revision, "calibration_crc32": revision.calibration_crc32}
-        cloud = encode_map_cloud(points, **numbers, t_ns=time.monotonic_ns(), wall_ns=time.time_ns())
+        cloud = encode_map_cloud(
+            points, **numbers, t_ns=time.monotonic_ns(), wall_ns=time.time_ns()
+        )
         self._publish("map/cloud", cloud)
         self._publish("map/final" if revision.folder else "map/revision", encode_json(about))
         return False
@@ -112,12 +114,16 @@ class Session:
         """Begin a session in a new folder, by default named by the time in UTC. Raises DeviceError."""
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if not re.match(RECORD_NAME, name):
-            raise DeviceError(f"found {quoted(name)}, expected {RECORD_NAME_RULE}", code=ReasonCode.BAD_NAME)
+            raise DeviceError(
+                f"found {quoted(name)}, expected {RECORD_NAME_RULE}", code=ReasonCode.BAD_NAME
+            )
         with disk_errors(folder):
             exists = (folder / name).exists()
         if exists:
             raise DeviceError(f"{folder / name} already exists", code=ReasonCode.NAME_TAKEN)
-        info = SessionInfo(name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id)
+        info = SessionInfo(
+            name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id
+        )
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 
     @classmethod
@@ -177,12 +183,25 @@ class Session:
             "refined": final.refined,
             "disagreement_mm": round(final.disagreement_mm, 4),
             "calibration_crc32": crc32,
-            "presses": [{"press": k, **press_record(press)} for k, press in enumerate(final.presses, start=1)],
+            "presses": [
+                {"press": k, **press_record(press)}
+                for k, press in enumerate(final.presses, start=1)
+            ],
         }
         write_map(self.folder, raster, details)
         self.file.end()
         area_mm2 = float(np.count_nonzero(np.isfinite(raster.z_mm))) * raster.step_mm**2
         return (
-            SessionEnded(self.name, self.presses, used, final.refined, final.disagreement_mm, area_mm2),
-            MapRevision(self.name, self.revision, self.presses, used, crc32, str(self.folder), lambda: raster),
+            SessionEnded(
+                self.name, self.presses, used, final.refined, final.disagreement_mm, area_mm2
+            ),
+            MapRevision(
+                self.name,
+                self.revision,
+                self.presses,
+                used,
+                crc32,
+                str(self.folder),
+                lambda: raster,
+            ),
         )

@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from tacshade_edge.core.stitching.press_points import PressPoints, RestDetector, press_points
-from tacshade_edge.daemon.observer import STITCHED_S, WAITING_MAX, FrameObserver, FrameResult, FrameWaiters, Reply
+from tacshade_edge.daemon.observer import (
+    STITCHED_S,
+    WAITING_MAX,
+    FrameObserver,
+    FrameResult,
+    FrameWaiters,
+    Reply,
+)
 from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.free_memory import return_free_memory
@@ -71,7 +78,11 @@ class Sessions(FrameObserver):
     stop_s = STITCHED_S
 
     def __init__(
-        self, folder: Path, sensor_id: str, publish: Callable[[str, bytes], None], robot: Robot | None = None
+        self,
+        folder: Path,
+        sensor_id: str,
+        publish: Callable[[str, bytes], None],
+        robot: Robot | None = None,
     ) -> None:
         self._folder = folder
         self._sensor_id = sensor_id
@@ -131,7 +142,9 @@ class Sessions(FrameObserver):
         else:
             state = "ending" if self._ending else "open"
             if self._robot and not self._robot.knows_pose():
-                reason = Reason(ReasonCode.NO_POSE, "the robot's pose is unknown, so no press can be added")
+                reason = Reason(
+                    ReasonCode.NO_POSE, "the robot's pose is unknown, so no press can be added"
+                )
         status = encode_status(state, reason, asdict(session))
         if status != self._published:
             self._published = status
@@ -158,7 +171,9 @@ class Sessions(FrameObserver):
         self._calibration = calibration
         if not self._state.name:
             return
-        at_rest = self._rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm)
+        at_rest = self._rest.update(
+            result.t_ns, result.valid and result.contact, result.depth_max_mm
+        )
         replies = self._adds.take(frame.t_ns)
         if not replies and at_rest:
             replies = [self._note_missed]
@@ -262,14 +277,18 @@ class Sessions(FrameObserver):
             session.file.remove()
             self._clear_session()
             return SessionAborted(session.name, session.presses)
-        raise DeviceError("the session has only just started; add the press again", code=ReasonCode.NO_SESSION)
+        raise DeviceError(
+            "the session has only just started; add the press again", code=ReasonCode.NO_SESSION
+        )
 
     def _begin(self, name: str) -> SessionBegun:
         if self._folder_lock is None:
             self._own_folder()
             self._resume()
         if self._session is not None and self._session.file.gone:
-            _log.warning("deleted session %s with %d presses", self._session.name, self._session.presses)
+            _log.warning(
+                "deleted session %s with %d presses", self._session.name, self._session.presses
+            )
             self._session.file.close()
             self._clear_session()
         if self._session is not None:
@@ -293,7 +312,10 @@ class Sessions(FrameObserver):
             raise DeviceError(reason.text, code=reason.code)
         posed = self._robot.with_interpolated_pose(frame) if self._robot else frame
         if posed.pose is None:
-            raise DeviceError(f"frame {seq}: the robot's pose at the frame's time is unknown", code=ReasonCode.NO_POSE)
+            raise DeviceError(
+                f"frame {seq}: the robot's pose at the frame's time is unknown",
+                code=ReasonCode.NO_POSE,
+            )
         added = session.add(points, of_pose(posed.pose) @ flange_T_sensor, seq)
         with self._lock:
             self._counts["presses"] += 1
@@ -302,7 +324,9 @@ class Sessions(FrameObserver):
 
     def _end(self, session: Session) -> SessionEnded:
         if session.presses == 0:
-            raise DeviceError("the session has no presses; use ABORT to end it", code=ReasonCode.NO_PRESS)
+            raise DeviceError(
+                "the session has no presses; use ABORT to end it", code=ReasonCode.NO_PRESS
+            )
         self._ending = True
         try:
             ended, final_map = session.finish(self._missed)
@@ -321,7 +345,11 @@ class Sessions(FrameObserver):
 
     def _show_state(self) -> None:
         session = self._session
-        known = {key: getattr(session, key) for key in ("name", "presses", "points", "revision")} if session else {}
+        known = (
+            {key: getattr(session, key) for key in ("name", "presses", "points", "revision")}
+            if session
+            else {}
+        )
         self._state = SessionState(**known, folder=self._map_folder)
 
 

@@ -68,7 +68,10 @@ class Supervisor:
     """Keeps a process running for each sensor and for their hand; `ended` receives the id of each that ends."""
 
     def __init__(
-        self, documents: Sequence[Document], hand: Hand | None = None, ended: Callable[[str], None] = lambda name: None
+        self,
+        documents: Sequence[Document],
+        hand: Hand | None = None,
+        ended: Callable[[str], None] = lambda name: None,
     ) -> None:
         self._path = documents[0].path
         self._ended = ended
@@ -142,12 +145,16 @@ class Supervisor:
         part.again_s = part.heard_s = part.aborted_s = None
         part.status, part.began_s = "starting", time.monotonic()
         parent = os.getpid()
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # else one for the child reaches us
+        mask = signal.pthread_sigmask(
+            signal.SIG_BLOCK, _SIGNALS
+        )  # else one for the child reaches us
         try:
             try:
                 part.pid = os.fork()
             except OSError as error:
-                self._start_again(part, f"cannot start its process: {os.strerror(error.errno or 0)}")
+                self._start_again(
+                    part, f"cannot start its process: {os.strerror(error.errno or 0)}"
+                )
                 return True
             if part.pid:
                 return True
@@ -195,7 +202,11 @@ class Supervisor:
         else:
             of_file: list[Document | Hand] = [*documents, *([hand] if hand else [])]
             now = {name_of(of): of for of in of_file}
-            self._note = "" if list(now) == [part.name for part in self._parts] else "restart to use the new sensors"
+            self._note = (
+                ""
+                if list(now) == [part.name for part in self._parts]
+                else "restart to use the new sensors"
+            )
             for part in self._parts:
                 if of := now.get(part.name):
                     part.of = of
@@ -210,8 +221,16 @@ class Supervisor:
         for part in self._parts:
             if part.aborted_s is not None and now_s > part.aborted_s + ABORT_S:
                 _signal(part, signal.SIGKILL)
-            elif part.aborted_s is None and part.heard_s is not None and now_s > part.heard_s + WATCHDOG_S:
-                _log.error("%s: ending the process, which has not responded for %.0f s", part.name, WATCHDOG_S)
+            elif (
+                part.aborted_s is None
+                and part.heard_s is not None
+                and now_s > part.heard_s + WATCHDOG_S
+            ):
+                _log.error(
+                    "%s: ending the process, which has not responded for %.0f s",
+                    part.name,
+                    WATCHDOG_S,
+                )
                 part.aborted_s = now_s
                 _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:
@@ -241,7 +260,9 @@ class Supervisor:
     def _start_again(self, part: _Part, why: str) -> None:
         now_s = time.monotonic()
         is_steady = now_s - part.began_s >= STEADY_S
-        part.wait_s = RESTART_S if is_steady else min(max(2 * part.wait_s, RESTART_S), RESTART_MAX_S)
+        part.wait_s = (
+            RESTART_S if is_steady else min(max(2 * part.wait_s, RESTART_S), RESTART_MAX_S)
+        )
         part.again_s = now_s + part.wait_s
         part.status = f"{why}; restarting in {part.wait_s:.0f} s"
         _log.error("%s: %s", part.name, part.status)

@@ -47,9 +47,15 @@ class Service:
         Attempts do not count while a frame hangs.
         """
         # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
-        processed, stages, attempts = self._reconstruct.processed, self._reconstruct.stages, self._grab.attempts
+        processed, stages, attempts = (
+            self._reconstruct.processed,
+            self._reconstruct.stages,
+            self._grab.attempts,
+        )
         hanging = self._reconstruct.taken > processed
-        progressed = stages > self._stages or (degraded and attempts > self._attempts and not hanging)
+        progressed = stages > self._stages or (
+            degraded and attempts > self._attempts and not hanging
+        )
         self._stages, self._attempts = stages, attempts
         return progressed
 
@@ -69,7 +75,9 @@ def notify(*lines: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
-    message = "\n".join(map(escaped, lines)).encode()  # a line end in a reason would begin another message
+    message = "\n".join(
+        map(escaped, lines)
+    ).encode()  # a line end in a reason would begin another message
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
             sender.settimeout(_SEND_S)

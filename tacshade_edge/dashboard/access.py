@@ -88,7 +88,9 @@ class Login:
         pairs = (pair.strip().partition("=") for pair in (cookies or "").split(";"))
         return next((value for name, _, value in pairs if name == self._cookie), None)
 
-    def refusal(self, token: str | None, kept: str | None, address: str, now_s: float) -> HTTPStatus | None:
+    def refusal(
+        self, token: str | None, kept: str | None, address: str, now_s: float
+    ) -> HTTPStatus | None:
         """Return the status that rejects a request with a token or else a cookie; None when it may proceed.
 
         Repeating a wrong token is no new try: a page that was open when the token changed retries every second.
@@ -103,7 +105,9 @@ class Login:
         is_known = token is None and browser in self._browsers
         if tries is not None and tries.wrong >= WRONG_MAX and not is_known:
             return HTTPStatus.TOO_MANY_REQUESTS
-        offered, expected = (signature, self._signed(browser).encode()) if token is None else (token, self._token)
+        offered, expected = (
+            (signature, self._signed(browser).encode()) if token is None else (token, self._token)
+        )
         guess = offered.encode(errors="surrogateescape")
         if hmac.compare_digest(guess, expected):
             if token is None:

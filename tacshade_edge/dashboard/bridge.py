@@ -56,7 +56,9 @@ def _body(data: bytes, start: int) -> tuple[int, int] | None:
     for place, byte in enumerate(data[start + 1 : start + 5]):
         size |= (byte & 0x7F) << 7 * place
         if size > PACKET_BYTES_MAX:
-            raise DecodeError(f"found a packet of more than {PACKET_BYTES_MAX} bytes, expected at most so many")
+            raise DecodeError(
+                f"found a packet of more than {PACKET_BYTES_MAX} bytes, expected at most so many"
+            )
         if not byte & 0x80:
             begin = start + place + 2
             return (begin, begin + size) if len(data) >= begin + size else None
@@ -72,9 +74,13 @@ def _check(kind: int, body: bytes) -> None:
         return
     name, version, flags, rest = body[:6], body[6:7], body[7:8], body[10:]
     if name != b"\0\4MQTT" or version not in (b"\4", b"\5") or len(body) < 12:
-        raise DecodeError("found an unsupported or incomplete CONNECT packet, expected MQTT 3.1.1 or 5")
+        raise DecodeError(
+            "found an unsupported or incomplete CONNECT packet, expected MQTT 3.1.1 or 5"
+        )
     if flags[0] & _WILL or not flags[0] & _CLEAN:
-        raise DecodeError("read-only: found a last will or a persistent session in CONNECT, expected neither")
+        raise DecodeError(
+            "read-only: found a last will or a persistent session in CONNECT, expected neither"
+        )
     if version == b"\5":
         if rest[0]:  # such as a session that outlives its connection
             raise DecodeError("read-only: found properties in CONNECT, expected none")
@@ -137,7 +143,8 @@ class Bridge:
         self._away = False
         try:
             await _until_first(
-                _to_broker(page, writer, ReadOnly() if self._read_only else None), _to_page(reader, page)
+                _to_broker(page, writer, ReadOnly() if self._read_only else None),
+                _to_page(reader, page),
             )
         finally:
             writer.close()
@@ -146,7 +153,9 @@ class Bridge:
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         broker = self._broker
         async with asyncio.timeout(_CONNECT_S):
-            reader, writer = await asyncio.open_connection(broker.host, broker.port, ssl=broker.tls, limit=_CHUNK_BYTES)
+            reader, writer = await asyncio.open_connection(
+                broker.host, broker.port, ssl=broker.tls, limit=_CHUNK_BYTES
+            )
         sock = writer.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE.items():
@@ -155,7 +164,9 @@ class Bridge:
         return reader, writer
 
 
-async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, only: ReadOnly | None) -> None:
+async def _to_broker(
+    page: ServerConnection, writer: asyncio.StreamWriter, only: ReadOnly | None
+) -> None:
     async for message in page:
         if isinstance(message, str):
             await page.close(_BINARY_ONLY, "MQTT is binary")

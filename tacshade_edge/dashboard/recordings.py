@@ -56,21 +56,31 @@ def listed(folder: Path) -> list[Listed]:
     """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`. Raises DeviceError."""
     names = []
     for name in _names(folder):
-        inside = [name] if _is_recording(folder / name) else [f"{name}/{inner}" for inner in _names(folder / name)]
+        inside = (
+            [name]
+            if _is_recording(folder / name)
+            else [f"{name}/{inner}" for inner in _names(folder / name)]
+        )
         names += [each for each in inside if _is_recording(folder / each)]
-    return sorted((_look_at(folder, name) for name in names), key=lambda one: -one["began_ns"])[:LISTED_MAX]
+    return sorted((_look_at(folder, name) for name in names), key=lambda one: -one["began_ns"])[
+        :LISTED_MAX
+    ]
 
 
 def find(folder: Path, name: object) -> Path:
     """Return the path of a whole recording in the folder. Raises DeviceError for any other name and for links."""
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
-        raise DeviceError(f"found the name {shown(str(name))}, expected the name of a listed recording")
+        raise DeviceError(
+            f"found the name {shown(str(name))}, expected the name of a listed recording"
+        )
     path = folder
     for part in parts:
         path /= part
         if path.is_symlink():
-            raise DeviceError(f"{shown(str(name))}: found a symbolic link, expected a recording's file or folder")
+            raise DeviceError(
+                f"{shown(str(name))}: found a symbolic link, expected a recording's file or folder"
+            )
     if not _is_recording(path):
         raise DeviceError(f"found no recording {shown(str(name))}")
     if _look_at(folder, "/".join(parts))["is_growing"]:
@@ -112,7 +122,9 @@ def tar(path: Path, write: Callable[[bytes], object]) -> None:
             info.size, info.mtime = about.st_size, int(about.st_mtime)
             with (
                 _errors(f"{name} cannot be read"),
-                open(os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as stream,
+                open(
+                    os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb"
+                ) as stream,
             ):
                 archive.addfile(info, stream)
         archive.close()
@@ -129,7 +141,11 @@ def _files(path: Path) -> list[tuple[str, os.stat_result]]:
 def _names(folder: Path) -> list[str]:
     """Return the subfolders with a valid name of a recording, without links."""
     with _errors(str(folder)), os.scandir(folder) as entries:
-        found = [entry.name for entry in entries if _NAME.match(entry.name) and entry.is_dir(follow_symlinks=False)]
+        found = [
+            entry.name
+            for entry in entries
+            if _NAME.match(entry.name) and entry.is_dir(follow_symlinks=False)
+        ]
     return sorted(found, reverse=True)[:_LOOKED_AT_MAX]
 
 
@@ -140,7 +156,9 @@ def _is_recording(path: Path) -> bool:
 def _look_at(folder: Path, name: str) -> Listed:
     path = folder / name
     try:
-        changed_s = max((path / sign).stat().st_mtime for sign in ("", *_SIGNS) if (path / sign).exists())
+        changed_s = max(
+            (path / sign).stat().st_mtime for sign in ("", *_SIGNS) if (path / sign).exists()
+        )
     except (OSError, ValueError):
         changed_s = 0.0  # deleted in the meantime
     try:
@@ -148,11 +166,18 @@ def _look_at(folder: Path, name: str) -> Listed:
     except (OSError, ValueError, RecursionError):
         about = None
     first_ns, frames, size = (
-        _count(about.get(key)) if isinstance(about, dict) else None for key in ("first_wall_ns", "frames", "bytes")
+        _count(about.get(key)) if isinstance(about, dict) else None
+        for key in ("first_wall_ns", "frames", "bytes")
     )
     is_growing = not (path / _ABOUT).is_file() and any(_is_locked(path / name) for name in _LOCKED)
     began_ns = first_ns or int(changed_s * 1e9)
-    return {"name": name, "frames": frames, "size_bytes": size, "began_ns": began_ns, "is_growing": is_growing}
+    return {
+        "name": name,
+        "frames": frames,
+        "size_bytes": size,
+        "began_ns": began_ns,
+        "is_growing": is_growing,
+    }
 
 
 def _is_locked(path: Path) -> bool:
@@ -200,7 +225,9 @@ class RecordingCommands:
     async def _do(self, page: ServerConnection, action: object, name: object) -> None:
         folder = self._folder
         if folder is None:
-            raise DeviceError("this dashboard lists no recordings: it was started without --recordings")
+            raise DeviceError(
+                "this dashboard lists no recordings: it was started without --recordings"
+            )
         if self._read_only and action not in _READ_ONLY:
             raise DeviceError("read-only: this dashboard forwards no requests")
         if action == "list":
@@ -227,7 +254,9 @@ class RecordingCommands:
             async with asyncio.timeout(STALL_S):
                 await page.send(piece)
 
-        await asyncio.to_thread(tar, path, lambda piece: asyncio.run_coroutine_threadsafe(send(piece), loop).result())
+        await asyncio.to_thread(
+            tar, path, lambda piece: asyncio.run_coroutine_threadsafe(send(piece), loop).result()
+        )
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play a recording for as long as the page keeps this connection open."""
@@ -249,7 +278,9 @@ class RecordingCommands:
                 said = asyncio.ensure_future(_last_line(process.stderr))
                 await asyncio.wait((left, said), return_when=asyncio.FIRST_COMPLETED)
                 if said.done():
-                    await _answer(page, ok=False, error=f"{path.name}: {said.result() or 'its replay ended'}")
+                    await _answer(
+                        page, ok=False, error=f"{path.name}: {said.result() or 'its replay ended'}"
+                    )
                 for task in (left, said):
                     task.cancel()
         finally:
@@ -259,7 +290,15 @@ class RecordingCommands:
 
 @contextlib.asynccontextmanager
 async def _replaying(path: Path, broker: Broker) -> AsyncIterator[asyncio.subprocess.Process]:
-    words = ("replay", str(path.resolve()), "--play", "--mqtt", str(broker), "--sensor-id", PLAYED_AS)
+    words = (
+        "replay",
+        str(path.resolve()),
+        "--play",
+        "--mqtt",
+        str(broker),
+        "--sensor-id",
+        PLAYED_AS,
+    )
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "tacshade_edge", *words),
         stdin=asyncio.subprocess.DEVNULL,

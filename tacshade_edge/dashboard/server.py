@@ -62,7 +62,9 @@ class Bounds:
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
-        return self._connections.admit(connection) or not self._turn_away(f"{CONNECTIONS_MAX} connections")
+        return self._connections.admit(connection) or not self._turn_away(
+            f"{CONNECTIONS_MAX} connections"
+        )
 
     def admit_page(self, connection: ServerConnection) -> str:
         """Count a connection as a page; return why it is rejected when too many are open, else an empty text."""
@@ -98,7 +100,11 @@ class Bounds:
 def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Handle a loop's exception: no traceback for what the system refuses, such as one more open file."""
     if isinstance(error := context.get("exception"), OSError):
-        _log.warning("%s: %s", context.get("message", "the system refused a connection"), error.strerror or error)
+        _log.warning(
+            "%s: %s",
+            context.get("message", "the system refused a connection"),
+            error.strerror or error,
+        )
     else:
         loop.default_exception_handler(context)
 
@@ -107,7 +113,11 @@ class Pages:
     """The answers to HTTP requests; permitted WebSocket requests pass. Without `tokens`, everybody sees the page."""
 
     def __init__(
-        self, files: Mapping[str, File], allowed_origins: Collection[str], bounds: Bounds, tokens: Login | None
+        self,
+        files: Mapping[str, File],
+        allowed_origins: Collection[str],
+        bounds: Bounds,
+        tokens: Login | None,
     ) -> None:
         self._tokens = tokens
         self._files = files
@@ -118,13 +128,21 @@ class Pages:
 
     def answer(self, page: ServerConnection, request: Request) -> Response | None:
         """Return the response to a plain or rejected request; None opens the WebSocket."""
-        method = getattr(request, "method", "GET")  # websockets before 17 rejects all others by itself
+        method = getattr(
+            request, "method", "GET"
+        )  # websockets before 17 rejects all others by itself
         if method not in _METHODS:
-            return self._text(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD", {"Allow": ", ".join(_METHODS)})
+            return self._text(
+                HTTPStatus.METHOD_NOT_ALLOWED,
+                "expected GET or HEAD",
+                {"Allow": ", ".join(_METHODS)},
+            )
         try:
             response = self._get(page, request)
         except LookupError:
-            response = self._text(HTTPStatus.BAD_REQUEST, "found a header more than once, expected each once")
+            response = self._text(
+                HTTPStatus.BAD_REQUEST, "found a header more than once, expected each once"
+            )
         if response is not None and method == "HEAD":
             response.body = b""
         return response
@@ -142,11 +160,18 @@ class Pages:
             return self._text(HTTPStatus.NOT_FOUND, "not found")
         if request.headers.get("If-None-Match") == file.etag:
             return self._response(HTTPStatus.NOT_MODIFIED, b"", {"ETag": file.etag})
-        return self._response(HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type})
+        return self._response(
+            HTTPStatus.OK, file.body, {"ETag": file.etag, "Content-Type": file.content_type}
+        )
 
-    def _log_in(self, tokens: Login, page: ServerConnection, path: str, headers: Headers) -> Response | None:
+    def _log_in(
+        self, tokens: Login, page: ServerConnection, path: str, headers: Headers
+    ) -> Response | None:
         """Return the response to a request without the token or to a login; None if the request may proceed."""
-        offered, kept = access.offered(headers.get("Authorization")), tokens.kept(headers.get("Cookie"))
+        offered, kept = (
+            access.offered(headers.get("Authorization")),
+            tokens.kept(headers.get("Cookie")),
+        )
         if path in _OPEN and offered is None:
             return None
         address, before = str((page.remote_address or ("",))[0]), tokens.wrong
@@ -158,22 +183,30 @@ class Pages:
         if refused is not None:
             return self._text(refused, _REFUSED[refused], {"WWW-Authenticate": "Bearer"})
         return (
-            self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie()}) if path == _LOGIN else None
+            self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie()})
+            if path == _LOGIN
+            else None
         )
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
             return self._text(HTTPStatus.UPGRADE_REQUIRED, "expected a WebSocket from the page")
-        refused = access.refusal(request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins)
+        refused = access.refusal(
+            request.headers.get("Origin"), request.headers.get("Host"), self._allowed_origins
+        )
         if not refused:
             full = self._bounds.admit_page(page)
             return self._text(HTTPStatus.SERVICE_UNAVAILABLE, full) if full else None
-        if refused != self._refused:  # a browser hides the answer from its user, and retries every second
+        if (
+            refused != self._refused
+        ):  # a browser hides the answer from its user, and retries every second
             _log.warning("rejected a WebSocket: %s", escaped(refused))
         self._refused = refused
         return self._text(HTTPStatus.FORBIDDEN, refused)
 
-    def _text(self, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
+    def _text(
+        self, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None
+    ) -> Response:
         typed = {"Content-Type": "text/plain; charset=utf-8", **(headers or {})}
         return self._response(status, f"{text}\n".encode(), typed)
 
@@ -208,7 +241,11 @@ async def run(
     bounds = Bounds()
     try:
         listener = Listener(host, port, bounds.admit)
-        tokens = Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None) if token else None
+        tokens = (
+            Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None)
+            if token
+            else None
+        )
         # Compression would cost the board more than it saves: docs/how-to/dashboard.md has the figures.
         bridge = Bridge(broker, read_only=read_only)
         commands = RecordingCommands(recordings, broker, read_only=read_only)
@@ -216,7 +253,11 @@ async def run(
 
         async def serve_page(page: ServerConnection) -> None:
             assert page.request is not None
-            await (commands.serve(page) if page.request.path.startswith("/recordings") else bridge.carry(page))
+            await (
+                commands.serve(page)
+                if page.request.path.startswith("/recordings")
+                else bridge.carry(page)
+            )
 
         server = await serve(
             serve_page,
@@ -238,7 +279,9 @@ async def run(
     except OSError as error:
         reason = error.strerror or error
         expected = "expected an address and a free port of this machine"
-        raise DeviceError(f"cannot listen on port {port} of {host}: {reason}; {expected}") from error
+        raise DeviceError(
+            f"cannot listen on port {port} of {host}: {reason}; {expected}"
+        ) from error
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()
@@ -271,10 +314,15 @@ class File:
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
     """Load every file of the page by its URL path; the page is marked if it may send no requests or has recordings."""
     paths = [path for path in sorted(STATIC.rglob("*")) if path.suffix in _TYPES]
-    found = {f"/{path.relative_to(STATIC)}": _file(path.read_bytes(), _TYPES[path.suffix]) for path in paths}
+    found = {
+        f"/{path.relative_to(STATIC)}": _file(path.read_bytes(), _TYPES[path.suffix])
+        for path in paths
+    }
     index = found["/index.html"]
     learns = b" data-read-only" * read_only + b" data-recordings" * recordings
-    index = found["/index.html"] = _file(index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type)
+    index = found["/index.html"] = _file(
+        index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type
+    )
     return {"/": index, "/login": found["/login.html"], **found}
 
 
@@ -283,8 +331,12 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
 
     The one inline script, the import map, is allowed by its hash; ``blob:`` allows the picture and mqtt.js's worker.
     """
-    inline = re.findall(rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL)
-    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline)
+    inline = re.findall(
+        rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL
+    )
+    hashes = " ".join(
+        f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline
+    )
     policy = (
         f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
         "worker-src blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

@@ -59,7 +59,9 @@ class Child:
         code = self._process.poll()
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
-            raise DeviceError(f"demo: the {self.name} exited with status {code}: {lines[-1] if lines else 'no output'}")
+            raise DeviceError(
+                f"demo: the {self.name} exited with status {code}: {lines[-1] if lines else 'no output'}"
+            )
 
     def stop(self) -> None:
         """Stop the process with SIGTERM, or with SIGKILL after 3 s."""
@@ -79,7 +81,9 @@ def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.
         with suppress(OSError), socket.create_connection((host, port), timeout=timeout_s):
             return
         if time.monotonic() > deadline_s:
-            raise DeviceError(f"demo: the {child.name} did not listen on port {port} within {timeout_s:.0f} s")
+            raise DeviceError(
+                f"demo: the {child.name} did not listen on port {port} within {timeout_s:.0f} s"
+            )
         time.sleep(_POLL_S)
 
 

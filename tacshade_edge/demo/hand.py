@@ -91,7 +91,14 @@ def script() -> HandScript:
     open_mm, closed_mm = (_BACK_MM,) * len(FINGERS), (0.0,) * len(FINGERS)
     begin = HandScript((0.0,), (Placement(rests, open_mm),)).held(1.2)
     grasped = begin.fingers_back(closed_mm, 1.0).held(1.0)
-    moved = grasped.moved(pushed, 0.8).held(0.6).moved(turned, 1.0).held(0.8).moved(rests, 0.8).held(0.6)
+    moved = (
+        grasped.moved(pushed, 0.8)
+        .held(0.6)
+        .moved(turned, 1.0)
+        .held(0.8)
+        .moved(rests, 0.8)
+        .held(0.6)
+    )
     return moved.moved(pulled, 1.6).held(1.0).fingers_back(open_mm, 1.0).moved(rests, 0.4)
 
 
@@ -148,7 +155,9 @@ def _draw(task: tuple[Path, str, Sequence[float]]) -> list[Path]:
     round_of = script()
     placements = [round_of.at(time_s) for time_s in task[2]]
     by_skin, drawn = dict[int, Path](), list[Path]()
-    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))  # keeps skins, so ids differ
+    felts = list(
+        follow(fingers, list(FINGERS).index(name), BOTTLE, placements)
+    )  # keeps skins, so ids differ
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.press else 0
         if key not in by_skin:
@@ -166,10 +175,14 @@ def make_calibration() -> Calibration:
     """Calibrate the demo's simulated sensor; this takes one or two seconds."""
     model = SensorModel()
     simulated = SimulatedSensor(model)
-    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    sensor = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     references = [simulated.frame(noise_seed=seed).image for seed in range(REFERENCES)]
     presses = []
     for k, (press, radius_mm) in enumerate(ball_presses(model, PRESSES)):
         image = simulated.frame([press], noise_seed=REFERENCES + k).image
-        presses.append(KnownPress(f"press {k}", image, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
+        presses.append(
+            KnownPress(f"press {k}", image, radius_mm, press.depth_mm, press.x_mm, press.y_mm)
+        )
     return calibrate(sensor, references, presses).calibration

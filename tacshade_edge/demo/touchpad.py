@@ -25,7 +25,9 @@ from tacshade_edge.storage.tables.frame_table import HEADER, TABLE_NAME
 SENSOR_ID: Final = "demo-map"
 FPS: Final = 10
 _MODEL: Final = SensorModel()
-_PAD: Final = Pad(36.0, 28.0, (Arc(11.1, 14.1, 7.0, 3.0), Bar(23.1, 4.1, 23.1, 24.1, 2.0), Dot(31.1, 14.1, 3.0)))
+_PAD: Final = Pad(
+    36.0, 28.0, (Arc(11.1, 14.1, 7.0, 3.0), Bar(23.1, 4.1, 23.1, 24.1, 2.0), Dot(31.1, 14.1, 3.0))
+)
 _STEP_MM: Final = 6.0
 _DEPTH_MM: Final = 2.7
 _HELD, _FREE = 6, 3  # frames of a press and of the move to the next

@@ -39,7 +39,9 @@ class FrameSource(Protocol):
 
 _WINDOW = 64  # number of intervals that give the period: about two seconds at 30 fps
 _ROUNDS = 2
-_REGULAR = 0.2  # relative: an interval this near the period is one period, however the estimate changes
+_REGULAR = (
+    0.2  # relative: an interval this near the period is one period, however the estimate changes
+)
 _FIRST = 24  # intervals before the period is trusted: about a second; then all of them are judged together
 
 
@@ -70,7 +72,10 @@ class FrameGaps:
         interval_ns = t_ns - last_ns
         self._intervals_ns.append(interval_ns)
         self._until_measured -= 1
-        if self._until_measured > 0 and abs(interval_ns - self.period_ns) < _REGULAR * self.period_ns:
+        if (
+            self._until_measured > 0
+            and abs(interval_ns - self.period_ns) < _REGULAR * self.period_ns
+        ):
             return 0
         self.period_ns = period_ns = _period_ns(sorted(self._intervals_ns))
         if len(self._intervals_ns) < _FIRST:
@@ -85,7 +90,9 @@ def _period_ns(ordered_ns: list[int]) -> float:
     period_ns = float(ordered_ns[len(ordered_ns) // 4])
     for _ in range(_ROUNDS):
         # In a sum of intervals the jitter cancels, except that of the first and the last stamp.
-        period_ns = sum(ordered_ns) / sum(max(round(interval_ns / period_ns), 1) for interval_ns in ordered_ns)
+        period_ns = sum(ordered_ns) / sum(
+            max(round(interval_ns / period_ns), 1) for interval_ns in ordered_ns
+        )
     return period_ns
 
 
@@ -143,7 +150,9 @@ class Camera(ABC):
             lost = self._gaps.add(stamp_ns)
             t_ns = min(stamp_ns, now_ns)
         else:
-            self._gaps.add(now_ns)  # for the measured rate only; arrival is too uneven to reveal losses
+            self._gaps.add(
+                now_ns
+            )  # for the measured rate only; arrival is too uneven to reveal losses
         self._seq += 1 + lost
         self._dropped += lost
         return t_ns

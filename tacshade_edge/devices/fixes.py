@@ -7,10 +7,15 @@ import ssl
 
 from tacshade_edge.reasons import Reason, ReasonCode
 
-_RELIGHT = "restore the light and source.exposure to what they were at calibration, or calibrate again"
-USB_CABLE = "plug it in again, into another USB port or a powered hub; sudo dmesg shows what the kernel saw"
+_RELIGHT = (
+    "restore the light and source.exposure to what they were at calibration, or calibrate again"
+)
+USB_CABLE = (
+    "plug it in again, into another USB port or a powered hub; sudo dmesg shows what the kernel saw"
+)
 RIBBON_CABLE = (
-    "is the ribbon cable plugged in at both ends, contacts facing contacts? rpicam-hello --list-cameras lists it"
+    "is the ribbon cable plugged in at both ends, contacts facing contacts? "
+    "rpicam-hello --list-cameras lists it"
 )
 _END_THE_OTHER = "end the other program that uses it; tacshade-edge doctor names it"
 
@@ -62,9 +67,13 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
     """Return what to do about a broker that could not be reached."""
     match error:
         case socket.gaierror():
-            return "is mqtt.host spelled correctly, and is the network up? Try: getent hosts " + host
+            return (
+                "is mqtt.host spelled correctly, and is the network up? Try: getent hosts " + host
+            )
         case ssl.SSLError():
-            authority = "is mqtt.ca_file the PEM file of the CA that signed the broker's certificate"
+            authority = (
+                "is mqtt.ca_file the PEM file of the CA that signed the broker's certificate"
+            )
             asked = f"{authority}, is {host} a name in it (subjectAltName), and is this machine's clock right?"
             return f"{asked} If the port does not use TLS, omit mqtt.ca_file"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):

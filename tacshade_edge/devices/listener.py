@@ -33,7 +33,9 @@ class Listener(socket.socket):
     """
 
     def __init__(self, host: str, port: int, admit: Callable[[socket.socket], bool]) -> None:
-        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        family, *_, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
         super().__init__(family, socket.SOCK_STREAM)
         self._admit = admit
         try:

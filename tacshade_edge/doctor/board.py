@@ -26,7 +26,12 @@ _CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
 MODEL = "/proc/device-tree/model"
 # Arm's "CPU part" in /proc/cpuinfo for the boards that the documents name.
 _ARM_PARTS = {"0xd03": "Cortex-A53", "0xd08": "Cortex-A72", "0xd0b": "Cortex-A76"}
-_SINCE_START = {_UNDER_VOLTAGE: "under-voltage", _CAPPED: "capped", _SLOWED: "throttled", _HOT: "hot"}
+_SINCE_START = {
+    _UNDER_VOLTAGE: "under-voltage",
+    _CAPPED: "capped",
+    _SLOWED: "throttled",
+    _HOT: "hot",
+}
 _TEXT_MAX = 80
 
 
@@ -36,8 +41,16 @@ def check_board(machine: Machine) -> Findings:
     text = machine.read(THROTTLED)
     flags = int(text, 16) if text else 0
     for bits, what, fix in (
-        (_UNDER_VOLTAGE, "under-voltage", "use the board's own power supply and a short thick cable"),
-        (_CAPPED | _SLOWED | _HOT, "slowed down", "cool it (heat sink, fan, open case) and check its power supply"),
+        (
+            _UNDER_VOLTAGE,
+            "under-voltage",
+            "use the board's own power supply and a short thick cable",
+        ),
+        (
+            _CAPPED | _SLOWED | _HOT,
+            "slowed down",
+            "cool it (heat sink, fan, open case) and check its power supply",
+        ),
     ):
         if flags & bits:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
@@ -45,10 +58,14 @@ def check_board(machine: Machine) -> Findings:
             found.append(warning("board", f"{what} at some time since boot, but not now", fix))
     if text and not found:
         found.append(ok("board", "power and temperature have been fine since boot"))
-    scaled_by, governor = (machine.read(f"{_CPU}/scaling_{name}") for name in ("driver", "governor"))
+    scaled_by, governor = (
+        machine.read(f"{_CPU}/scaling_{name}") for name in ("driver", "governor")
+    )
     if governor == "powersave" and scaled_by not in _OWN_SCALING:
         fix = "echo ondemand | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
-        found.append(warning("board", "the powersave governor keeps the processor at its lowest speed", fix))
+        found.append(
+            warning("board", "the powersave governor keeps the processor at its lowest speed", fix)
+        )
     return tuple(found)
 
 
@@ -74,7 +91,9 @@ def judge_clock(now_s: float, installed_s: float, synced: bool | None) -> Findin
     if synced is False:
         wrong = "times in messages and recordings may be wrong; measurements are not affected"
         return warning("clock", f"{today}, not synchronised: {wrong}", keep)
-    known = "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
+    known = (
+        "synchronised" if synced else "the kernel does not report whether the clock is synchronised"
+    )
     return ok("clock", f"{today}, {known}")
 
 
@@ -108,7 +127,8 @@ def board_facts(machine: Machine) -> dict[str, str]:
     memory_kb = _field(machine.read("/proc/meminfo"), "MemTotal").removesuffix(" kB")
     facts = {
         "board": machine.read(MODEL).rstrip("\0") or f"{platform.machine()} machine",
-        "processor": _field(cpuinfo, "model name") or _ARM_PARTS.get(part, part and f"Arm, part {part}"),
+        "processor": _field(cpuinfo, "model name")
+        or _ARM_PARTS.get(part, part and f"Arm, part {part}"),
         "cores": f"{cores}, up to {int(mhz) // 1000} MHz" if mhz.isdecimal() else str(cores),
         "governor": machine.read(f"{_CPU}/scaling_governor"),
         "memory": f"{int(memory_kb) / 2**20:.1f} GiB" if memory_kb else "",
@@ -117,14 +137,21 @@ def board_facts(machine: Machine) -> dict[str, str]:
         "Python": platform.python_version(),
         "tacshade-edge": installed_version(),
     }
-    return {name: escaped(text.replace("|", "/"), _TEXT_MAX) for name, text in facts.items() if text}
+    return {
+        name: escaped(text.replace("|", "/"), _TEXT_MAX) for name, text in facts.items() if text
+    }
 
 
 def heat(machine: Machine) -> str:
     """Return the processor's temperature and any throttling since boot; empty if neither can be read."""
-    zones = [f"/sys/class/thermal/{zone.name}" for zone in machine.names("/sys/class/thermal", "thermal_zone*")]
+    zones = [
+        f"/sys/class/thermal/{zone.name}"
+        for zone in machine.names("/sys/class/thermal", "thermal_zone*")
+    ]
     read = [
-        machine.read(f"{zone}/temp") for zone in zones if re.search("cpu|soc|x86_pkg", machine.read(f"{zone}/type"))
+        machine.read(f"{zone}/temp")
+        for zone in zones
+        if re.search("cpu|soc|x86_pkg", machine.read(f"{zone}/type"))
     ]
     degrees = [int(text) / 1000 for text in read if re.fullmatch(r"\d+", text)]
     said = [f"{max(degrees):.0f} °C"] if degrees else []

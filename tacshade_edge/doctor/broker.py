@@ -48,14 +48,18 @@ class DaemonState:
     fps: float = 0.0  # frames per second that it last delivered
     place: str = "in an unknown place"  # where it runs
     rival: str = ""  # where another one runs that waits for the same name
-    published: dict[str, bytes] = field(default_factory=dict, compare=False)  # all, by topic below the base topic
+    published: dict[str, bytes] = field(
+        default_factory=dict, compare=False
+    )  # all, by topic below the base topic
 
     @property
     def alive(self) -> bool:
         return self.state in ("online", "degraded")
 
     def __str__(self) -> str:
-        return f"{self.state}, {self.fps:.1f} frames/s" + (f", {self.reason}" if self.reason else "")
+        return f"{self.state}, {self.fps:.1f} frames/s" + (
+            f", {self.reason}" if self.reason else ""
+        )
 
 
 class _Session:
@@ -71,12 +75,18 @@ class _Session:
         self.client = make_client(broker, base_topic=base, client_id="")
         self.client.on_connect, self.client.on_subscribe = self._on_connect, self._on_subscribe
         self.client.answered(lambda _mid, code: setattr(self, "published", code))
-        self.client.receive(lambda topic, message: self.messages.update({topic: bytes(message.payload)}))
+        self.client.receive(
+            lambda topic, message: self.messages.update({topic: bytes(message.payload)})
+        )
 
-    def _on_connect(self, _client: Any, _userdata: Any, _flags: Any, code: MqttCode, properties: Any) -> None:
+    def _on_connect(
+        self, _client: Any, _userdata: Any, _flags: Any, code: MqttCode, properties: Any
+    ) -> None:
         self.greeting, self.packet_bytes_max = code, packet_bytes_max(properties)
 
-    def _on_subscribe(self, _client: Any, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any) -> None:
+    def _on_subscribe(
+        self, _client: Any, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
+    ) -> None:
         self.subscribed = codes
 
     @property
@@ -93,7 +103,9 @@ class _Session:
 
     def subscribe(self) -> bool:
         """Subscribe to the daemon's topics and our own; return whether the broker lets us."""
-        self.client.subscribe([(f"{self.base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)])
+        self.client.subscribe(
+            [(f"{self.base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)]
+        )
         self.pump(lambda: self.subscribed)
         return bool(self.subscribed) and not any(code.is_failure for code in self.subscribed)
 
@@ -116,7 +128,10 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[Findings, Daemo
         session.client.disconnect()
         return (trouble,), DaemonState()
     took_ms = 1e3 * (time.monotonic() - began_s)
-    first = ok("broker", f"{where}: accepted the connection{' over TLS' if tls_ca else ''} in {took_ms:.0f} ms")
+    first = ok(
+        "broker",
+        f"{where}: accepted the connection{' over TLS' if tls_ca else ''} in {took_ms:.0f} ms",
+    )
     second = _round_trip(session, broker["username"])
     session.client.disconnect()
     return (first, second), _daemon_state(session)
@@ -130,12 +145,18 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         return warning("daemon", f"{found} {daemon.rival}", fix)
     if process is None and daemon.alive:
         fix = "stop the other daemon, or give this sensor another sensor_id"
-        return warning("daemon", f"no daemon is running here, yet {sensor_id} is {daemon.state} on this broker", fix)
+        return warning(
+            "daemon",
+            f"no daemon is running here, yet {sensor_id} is {daemon.state} on this broker",
+            fix,
+        )
     if process is None:
         return ok("daemon", "not running")
     if not daemon.alive:
         fix = f"was the daemon started with these settings? {log}"
-        return warning("daemon", f"{process} is running, but {sensor_id} is not online at the broker", fix)
+        return warning(
+            "daemon", f"{process} is running, but {sensor_id} is not online at the broker", fix
+        )
     found = f"running, {process}: {daemon}"
     return ok("daemon", found) if daemon.state == "online" else warning("daemon", found, log)
 
@@ -151,7 +172,9 @@ def _connect(session: _Session, broker: BrokerAddress) -> Finding | None:
                 context.wrap_socket(plain, server_hostname=host).close()
         session.client.connect(host, port, _KEEPALIVE_S, clean_start=True)
     except OSError as error:
-        return fault("broker", f"{host}:{port}: {_unreached(error)}", connect_fix(error, host, port, tls_ca))
+        return fault(
+            "broker", f"{host}:{port}: {_unreached(error)}", connect_fix(error, host, port, tls_ca)
+        )
     return None
 
 
@@ -170,7 +193,9 @@ def _unreached(error: OSError) -> str:
     return str(error.strerror or error)
 
 
-def _greet(session: _Session, where: str, username: str | None, tls_ca: str | None) -> Finding | None:
+def _greet(
+    session: _Session, where: str, username: str | None, tls_ca: str | None
+) -> Finding | None:
     open_still = session.pump(lambda: session.greeting is not None)
     code = session.greeting
     if code is None:
@@ -180,10 +205,18 @@ def _greet(session: _Session, where: str, username: str | None, tls_ca: str | No
     if not code.is_failure:
         return None
     if is_not_authorised(code.value):
-        whom = "a connection without a user name" if username is None else f"the user {username} or the password"
+        whom = (
+            "a connection without a user name"
+            if username is None
+            else f"the user {username} or the password"
+        )
         found = f"rejects {whom} ({code})"
     else:
-        found = "does not speak MQTT 5" if is_other_version(code.value) else f"rejects the connection: {code}"
+        found = (
+            "does not speak MQTT 5"
+            if is_other_version(code.value)
+            else f"rejects the connection: {code}"
+        )
     return fault("broker", f"{where}: {found}", refusal_fix(code.value, username))
 
 
@@ -205,31 +238,42 @@ def _round_trip(session: _Session, username: str | None) -> Finding:
     for _ in range(_ROUNDS):
         began_s = time.monotonic()
         if not session.echoes(_MESSAGE_BYTES):
-            return _limited(f"a message of {_MESSAGE_BYTES} bytes did not come back within {_ANSWER_S:g} s")
+            return _limited(
+                f"a message of {_MESSAGE_BYTES} bytes did not come back within {_ANSWER_S:g} s"
+            )
         took_ms.append(1e3 * (time.monotonic() - began_s))
     return judge_round_trip(statistics.median(took_ms))
 
 
 def _limited(found: str) -> Finding:
-    return warning(_ROUND_TRIP, f"{found}; the daemon skips larger height maps and clouds", MESSAGE_SIZE_FIX)
+    return warning(
+        _ROUND_TRIP, f"{found}; the daemon skips larger height maps and clouds", MESSAGE_SIZE_FIX
+    )
 
 
 def judge_round_trip(middle_ms: float) -> Finding:
     found = f"a {_MESSAGE_BYTES // 1000} KB message made the round trip in {middle_ms:.1f} ms"
     if middle_ms <= _SLOW_MS:
         return ok(_ROUND_TRIP, found)
-    fix = "add `set_tcp_nodelay true` to the broker's configuration (systemd/mosquitto-tacshade.conf)"
+    fix = (
+        "add `set_tcp_nodelay true` to the broker's configuration (systemd/mosquitto-tacshade.conf)"
+    )
     return warning(_ROUND_TRIP, found, f"{fix}, or connect by cable")
 
 
 def _daemon_state(session: _Session) -> DaemonState:
-    published = {topic.removeprefix(f"{session.base}/"): payload for topic, payload in session.messages.items()}
+    published = {
+        topic.removeprefix(f"{session.base}/"): payload
+        for topic, payload in session.messages.items()
+    }
     names = ("health", "status/camera", "status/broker", "instance", "status/rival")
     health, camera, link, instance, rival = (_json(published.get(name, b"")) for name in names)
     fps = health.get("delivered_fps", 0.0)
     return DaemonState(
         published.get("state", b"").decode(errors="replace")[:20],
-        str(camera.get("reason") or link.get("reason") or health.get("degraded_reason") or "")[:200],
+        str(camera.get("reason") or link.get("reason") or health.get("degraded_reason") or "")[
+            :200
+        ],
         float(fps) if isinstance(fps, int | float) else 0.0,
         place_of(instance),
         place_of(rival) if rival else "",

@@ -47,8 +47,12 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     installed = {each.name: each.version for each in importlib.metadata.distributions()}
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
-        "versions.json": _json({**board_facts(Machine()), "packages": dict(sorted(installed.items()))}),
-        "published.json": _json({topic: _payload(payload) for topic, payload in sorted(seen.daemon.published.items())}),
+        "versions.json": _json(
+            {**board_facts(Machine()), "packages": dict(sorted(installed.items()))}
+        ),
+        "published.json": _json(
+            {topic: _payload(payload) for topic, payload in sorted(seen.daemon.published.items())}
+        ),
         "log.txt": _log(),
     }
     secrets: tuple[str, ...] = ()
@@ -84,7 +88,11 @@ def _secrets(document: Document) -> tuple[str, ...]:
     except ConfigError:
         password = None
     username = settings.mqtt.username
-    words = (password, settings.mqtt.password_file, username if username != settings.sensor_id else None)
+    words = (
+        password,
+        settings.mqtt.password_file,
+        username if username != settings.sensor_id else None,
+    )
     return tuple(form for word in words if word for form in (word, json.dumps(word)[1:-1]))
 
 
@@ -95,13 +103,26 @@ def _calibration(document: Document) -> dict[str, Any]:
     except ConfigError as error:
         return {"reason": str(error)}
     fitted = {name: networks.error_mm for name, networks in found.fitted.items()}
-    facts: dict[str, Any] = {"crc32": f"{found.crc32:08x}", "pitch_px": found.pitch_px, "factors": dict(found.factors)}
+    facts: dict[str, Any] = {
+        "crc32": f"{found.crc32:08x}",
+        "pitch_px": found.pitch_px,
+        "factors": dict(found.factors),
+    }
     facts |= {"fit": calibration_file.fit_figures(found.fit), "fitted_error_mm": fitted}
     return {"geometry": asdict(found.geometry), "noise_grey": found.noise_grey, **facts}
 
 
 def _log() -> str:
-    command = ["journalctl", "--unit", _UNIT, "--lines", str(_LOG_LINES), "--no-pager", "--output", "short-iso"]
+    command = [
+        "journalctl",
+        "--unit",
+        _UNIT,
+        "--lines",
+        str(_LOG_LINES),
+        "--no-pager",
+        "--output",
+        "short-iso",
+    ]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_LOG_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

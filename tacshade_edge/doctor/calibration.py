@@ -50,9 +50,12 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
     if not calibration.factors:
         fix = (
-            "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv (docs/how-to/calibration.md)"
+            "take presses (tacshade-edge capture) and calibrate with --presses PRESSES.csv "
+            "(docs/how-to/calibration.md)"
         )
-        return calibration, (warning("calibration", f"{found}; depth is not in true millimetres", fix),)
+        return calibration, (
+            warning("calibration", f"{found}; depth is not in true millimetres", fix),
+        )
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
         found += f"; the networks for {', '.join(renew)} have changed since the fit, so the shipped networks are in use"

@@ -40,7 +40,8 @@ _NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
 _CSI_RECEIVERS = ("unicam", "rp1-cfe")
 _OWN_NODES = (*_CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
 CSI_FIX = (
-    "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: set source: {kind: rpicam, camera: 0}"
+    "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: "
+    "set source: {kind: rpicam, camera: 0}"
 )
 _LIST_S = 2.5
 FRAMES = 30
@@ -52,7 +53,9 @@ _SETTLING = 5
 def list_cameras(machine: Machine) -> Finding:
     """List the machine's cameras if no settings name one."""
     cameras = [_labelled(name, machine) for name in found_cameras(machine)]
-    cameras += [f"{{kind: rpicam, camera: {number}}} ({name})" for number, name in csi_cameras().items()]
+    cameras += [
+        f"{{kind: rpicam, camera: {number}}} ({name})" for number, name in csi_cameras().items()
+    ]
     if cameras:
         return ok("camera", f"found {', '.join(cameras)}")
     return warning("camera", "found no USB camera on this machine", _choose(machine))
@@ -65,9 +68,15 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
     if not path.exists():
         return (fault("camera", f"{device}: no such device", _choose(machine)),)
     if name.startswith(_OWN_NODES):
-        return (fault("camera", f"{device}: this node belongs to the Raspberry Pi's own {name}", CSI_FIX),)
+        return (
+            fault(
+                "camera", f"{device}: this node belongs to the Raspberry Pi's own {name}", CSI_FIX
+            ),
+        )
     if not may_use(path) and not path.is_dir():
-        return (fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),)
+        return (
+            fault("camera", f"{device}: no permission to open it", permission_fix(path, "video")),
+        )
     try:
         card = v4l2_node.check_node(str(path))
     except TacshadeError as error:
@@ -82,13 +91,17 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
 
 def check_csi(source: Rpicam) -> Findings:
     if not shutil.which(PROGRAM):
-        return (fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),)
+        return (
+            fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),
+        )
     cameras = csi_cameras()
     if name := cameras.get(source.camera):
         return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
     found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
     fix = f"set source.camera to a listed camera; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
-    return (fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),)
+    return (
+        fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),
+    )
 
 
 def _check_format(source: V4l2, node: str) -> Finding:
@@ -96,7 +109,11 @@ def _check_format(source: V4l2, node: str) -> Finding:
     try:
         formats = v4l2_node.formats(node)
     except DeviceError as error:
-        return fault("camera format", str(error).removeprefix("camera "), "unplug the camera and plug it in again")
+        return fault(
+            "camera format",
+            str(error).removeprefix("camera "),
+            "unplug the camera and plug it in again",
+        )
     if source.fourcc in formats:
         return ok("camera format", source.fourcc)
     usable = [code for code in _FOURCCS if code in formats]
@@ -105,14 +122,20 @@ def _check_format(source: V4l2, node: str) -> Finding:
     return fault("camera format", found, fix)
 
 
-def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str) -> Findings:
+def check_frames(
+    source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str
+) -> Findings:
     """Judge what a camera delivered, or why nothing; `daemon_state` is what a daemon here publishes, or empty."""
     findings: list[Finding] = []
     if captured.error:
         if busy := _busy(source, captured.error, machine, daemon_state):
             return (busy,)
         fix = USB_CABLE if isinstance(source, V4l2) else RIBBON_CABLE
-        findings.append(fault("camera frames", str(captured.error).partition(": ")[2] or str(captured.error), fix))
+        findings.append(
+            fault(
+                "camera frames", str(captured.error).partition(": ")[2] or str(captured.error), fix
+            )
+        )
     if not captured.t_ns:
         return tuple(findings)
     fix = "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
@@ -123,7 +146,9 @@ def check_frames(source: V4l2 | Rpicam, captured: Captured, machine: Machine, da
 def check_other_source(captured: Captured, fps: float) -> Findings:
     """Judge what a source other than a camera delivered: files or the simulated sensor."""
     if captured.error:
-        return (fault("source", str(captured.error), "correct source.path or the files that it names"),)
+        return (
+            fault("source", str(captured.error), "correct source.path or the files that it names"),
+        )
     if not captured.images:
         return (fault("source", "delivered no image", "choose another source.path"),)
     if len(captured.t_ns) < 10:
@@ -137,11 +162,18 @@ def check_picture(image: U8) -> Finding:
     height, width = grey.shape
     disc = Disc((height - 1) / 2, (width - 1) / 2, min(height, width) / 2)
     if reason := first_reason(PictureJudge(None, disc_mask(height, width, disc)).measured(grey)):
-        return fault("picture", reason.text, OF_FRAMES.get(reason.code, OF_FRAMES[ReasonCode.NO_CONTRAST]))
-    return ok("picture", f"{width}x{height} px, mean grey {grey.mean():.0f}, standard deviation {grey.std():.0f}")
+        return fault(
+            "picture", reason.text, OF_FRAMES.get(reason.code, OF_FRAMES[ReasonCode.NO_CONTRAST])
+        )
+    return ok(
+        "picture",
+        f"{width}x{height} px, mean grey {grey.mean():.0f}, standard deviation {grey.std():.0f}",
+    )
 
 
-def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str) -> Finding | None:
+def _busy(
+    source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str
+) -> Finding | None:
     """Return a finding on the program that holds the camera; None if none does."""
     holders, daemon = [], None
     if isinstance(source, V4l2):
@@ -152,11 +184,18 @@ def _busy(source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: 
     elif error.code is not ReasonCode.IN_USE:
         return None
     if daemon_state and (daemon in holders or not holders):
-        return warning("camera frames", f"the daemon is using the camera and reports: {daemon_state}", _STOP)
+        return warning(
+            "camera frames", f"the daemon is using the camera and reports: {daemon_state}", _STOP
+        )
     if holders:
-        return fault("camera frames", f"{holders[0]} is using the camera", f"end that program: kill {holders[0].pid}")
+        return fault(
+            "camera frames",
+            f"{holders[0]} is using the camera",
+            f"end that program: kill {holders[0].pid}",
+        )
     fix = (
-        "end that program; with sudo, doctor names the one that uses a USB camera, and `pgrep -a rpicam` a CSI camera's"
+        "end that program; with sudo, doctor names the one that uses a USB camera, "
+        "and `pgrep -a rpicam` a CSI camera's"
     )
     return fault("camera frames", "another program is using the camera", fix)
 
@@ -172,15 +211,27 @@ def check_rate(check: str, set_fps: float, captured: Captured, fix: str) -> Find
 
 
 def _check_stamps(captured: Captured) -> Finding:
-    age_s = max(arrived - taken for taken, arrived in zip(captured.t_ns, captured.arrived_ns, strict=True)) / 1e9
+    age_s = (
+        max(
+            arrived - taken
+            for taken, arrived in zip(captured.t_ns, captured.arrived_ns, strict=True)
+        )
+        / 1e9
+    )
     clock = captured.described.get("time_stamps", "on arrival")
     found = f"time stamps: {clock}; frames up to {1e3 * age_s:.0f} ms old"
     if any(later <= earlier for earlier, later in pairwise(captured.t_ns)):
-        return warning("camera time", f"{found} and out of order", "update the kernel, or use another camera")
+        return warning(
+            "camera time", f"{found} and out of order", "update the kernel, or use another camera"
+        )
     if clock not in ("kernel", "sensor"):
         fix = "use a camera that runs on the uvcvideo driver, whose kernel time stamps match poses more accurately"
         return warning("camera time", found, fix)
-    return warning("camera time", found, _BUSY_MACHINE) if age_s > _AGE_MAX_S else ok("camera time", found)
+    return (
+        warning("camera time", found, _BUSY_MACHINE)
+        if age_s > _AGE_MAX_S
+        else ok("camera time", found)
+    )
 
 
 def _check_locks(captured: Captured) -> list[Finding]:
@@ -193,7 +244,9 @@ def _check_locks(captured: Captured) -> list[Finding]:
         found = f"{label}: {captured.described.get(key) or lock or 'not known'}{missing}"
         fix = f"changes in {label} look like touches; lock {label} (`v4l2-ctl -d DEVICE -L`), or use another camera"
         is_automatic = lock == Lock.AUTOMATIC
-        findings.append(warning("camera control", found, fix) if is_automatic else ok("camera control", found))
+        findings.append(
+            warning("camera control", found, fix) if is_automatic else ok("camera control", found)
+        )
     return findings
 
 
@@ -215,7 +268,9 @@ def csi_cameras() -> dict[int, str]:
     """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists; none without the program."""
     words = (PROGRAM, "--list-cameras")
     try:
-        done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False)
+        done = subprocess.run(
+            words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return {}
     found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", done.stdout, re.MULTILINE)
@@ -229,13 +284,21 @@ def card_name(device: str, machine: Machine) -> str:
 
 
 def has_csi_receiver(machine: Machine) -> bool:
-    return any(card_name(f"/dev/{node.name}", machine).startswith(_CSI_RECEIVERS) for node in _nodes(machine))
+    return any(
+        card_name(f"/dev/{node.name}", machine).startswith(_CSI_RECEIVERS)
+        for node in _nodes(machine)
+    )
 
 
 def stable_name(device: str, machine: Machine) -> str:
     """Return the node's name that survives replugging; empty if there is none."""
     target = os.path.realpath(machine.at(device))
-    paths = (path for folder in _NAMES for path in machine.names(folder) if os.path.realpath(path) == target)
+    paths = (
+        path
+        for folder in _NAMES
+        for path in machine.names(folder)
+        if os.path.realpath(path) == target
+    )
     return next(map(machine.name_of, paths), "")
 
 
@@ -263,14 +326,20 @@ class Captured:
     t_ns: tuple[int, ...] = ()  # when each frame was taken, as the source reports
     arrived_ns: tuple[int, ...] = ()  # when each was read
     dropped: int = 0  # as the source counts
-    described: dict[str, str | int | float] = field(default_factory=dict)  # the mode, as in `status/camera`
+    described: dict[str, str | int | float] = field(
+        default_factory=dict
+    )  # the mode, as in `status/camera`
     error: Reason | None = None  # why the source did not open or failed
 
     @property
     def fps(self) -> float:
         """Frames per second, measured without the first frames, which often come late; 0 if there are too few."""
         t_ns = self.t_ns[_SETTLING:]
-        return 1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 and t_ns[-1] > t_ns[0] else 0.0
+        return (
+            1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0])
+            if len(t_ns) > 1 and t_ns[-1] > t_ns[0]
+            else 0.0
+        )
 
 
 def capture(source: FrameSource) -> Captured:
@@ -281,7 +350,11 @@ def capture(source: FrameSource) -> Captured:
     try:
         source.open()
         deadline_s = time.monotonic() + LIMIT_S
-        while len(t_ns) < FRAMES and time.monotonic() < deadline_s and (frame := source.read()) is not None:
+        while (
+            len(t_ns) < FRAMES
+            and time.monotonic() < deadline_s
+            and (frame := source.read()) is not None
+        ):
             images.append(frame.image)
             t_ns.append(frame.t_ns)
             arrived_ns.append(time.monotonic_ns())

@@ -68,13 +68,17 @@ def diagnose(
     found = list(_limited("camera", _REPLUG, NODE_S, lambda: _check_camera(document, machine)))
     yield from found
     if not any(finding.state == "fault" for finding in found):
-        yield from _limited("camera frames", _REPLUG, CAPTURE_S, lambda: _check_frames(document, machine, seen))
+        yield from _limited(
+            "camera frames", _REPLUG, CAPTURE_S, lambda: _check_frames(document, machine, seen)
+        )
     yield from _limited("calibration", _AGAIN, JUDGE_S, lambda: _check_calibration(document, seen))
 
 
 def _cameras(document: Document | None) -> list[V4l2]:
     """Return the V4L2 sources of all sensors in the settings file: they share the machine's ports."""
-    documents = () if document is None else load_all(document.path) if document.several else (document,)
+    documents = (
+        () if document is None else load_all(document.path) if document.several else (document,)
+    )
     return [other.settings.source for other in documents if isinstance(other.settings.source, V4l2)]
 
 
@@ -91,7 +95,9 @@ def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
     if not isinstance(source, V4l2 | Rpicam):
         return check_other_source(captured, source.fps)
     silent = "nothing, it is not on this broker" if machine.daemon() else ""
-    return check_frames(source, captured, machine, str(seen.daemon) if seen.daemon.alive else silent)
+    return check_frames(
+        source, captured, machine, str(seen.daemon) if seen.daemon.alive else silent
+    )
 
 
 def _check_calibration(document: Document, seen: Seen) -> Findings:
@@ -110,18 +116,28 @@ def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:
     return (*findings, judge_daemon(seen.daemon, machine.daemon(), sensor_id))
 
 
-def check_settings(config: Path, sensor_id: str | None = None) -> tuple[Finding, Document | None, bool]:
+def check_settings(
+    config: Path, sensor_id: str | None = None
+) -> tuple[Finding, Document | None, bool]:
     """Read the settings, None if unusable; the last value is whether those of the broker are usable."""
     try:
         document = load(config, sensor_id)
     except ConfigError as error:
         until = _UNTIL.format("the configured camera, the calibration or the broker")
-        more = f" (and {len(error.others)} more: tacshade-edge check-config {config})" if error.others else ""
+        more = (
+            f" (and {len(error.others)} more: tacshade-edge check-config {config})"
+            if error.others
+            else ""
+        )
         return fault(SETTINGS, f"{error}{more}", f"{_fix(config)}; {until}"), None, False
     try:
         links.check_link(document)
     except ConfigError as error:
-        return fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker')}"), document, False
+        return (
+            fault(SETTINGS, str(error), f"fix that line; {_UNTIL.format('the broker')}"),
+            document,
+            False,
+        )
     return ok(SETTINGS, f"{config}, sensor {document.settings.sensor_id}"), document, True
 
 

@@ -49,8 +49,15 @@ class Machine:
 
     def processes(self) -> list[Process]:
         """Every visible process except this one."""
-        numbers = [int(folder.name) for folder in self.names("/proc", "[0-9]*") if int(folder.name) != os.getpid()]
-        return [Process(n, tuple(self.read(f"/proc/{n}/cmdline").rstrip("\0").split("\0"))) for n in numbers]
+        numbers = [
+            int(folder.name)
+            for folder in self.names("/proc", "[0-9]*")
+            if int(folder.name) != os.getpid()
+        ]
+        return [
+            Process(n, tuple(self.read(f"/proc/{n}/cmdline").rstrip("\0").split("\0")))
+            for n in numbers
+        ]
 
     def holders(self, device: str) -> list[Process]:
         """The other processes that have a device open, as far as this user can see (root sees all)."""
@@ -59,7 +66,9 @@ class Machine:
 
     def _holds(self, process: Process, target: str) -> bool:
         try:
-            return any(os.readlink(fd) == target for fd in self.at(f"/proc/{process.pid}/fd").iterdir())
+            return any(
+                os.readlink(fd) == target for fd in self.at(f"/proc/{process.pid}/fd").iterdir()
+            )
         except OSError:  # the process has ended, or belongs to another user
             return False
 
@@ -67,7 +76,10 @@ class Machine:
         """The process of ``tacshade-edge run`` on this machine; None if none runs."""
         for process in self.processes():
             for program, command in pairwise(process.words[:4]):
-                if os.path.basename(program) in ("tacshade-edge", "tacshade_edge") and command == "run":
+                if (
+                    os.path.basename(program) in ("tacshade-edge", "tacshade_edge")
+                    and command == "run"
+                ):
                     return process
         return None
 
@@ -84,4 +96,6 @@ def permission_fix(path: Path, usual_group: str) -> str:
         group = usual_group
     if group == "root":  # no group to join: udev's rules are missing
         return "install the udev rules (systemd/install.sh does so), then plug the device in again"
-    return f"sudo usermod -aG {group} {pwd.getpwuid(os.geteuid()).pw_name}, then log out and in again"
+    return (
+        f"sudo usermod -aG {group} {pwd.getpwuid(os.geteuid()).pw_name}, then log out and in again"
+    )

@@ -34,10 +34,17 @@ class Judged:
         """The picture's record for programs; no limit is null."""
         names = ("judge", "what", "found", "least", "most")
         figures = [{name: _finite(getattr(each, name)) for name in names} for each in self.measured]
-        return {"image": str(self.path), "judge": self.judge or None, **reason_fields(self.reason), "figures": figures}
+        return {
+            "image": str(self.path),
+            "judge": self.judge or None,
+            **reason_fields(self.reason),
+            "figures": figures,
+        }
 
 
-def judge_pictures(calibration: Calibration, profile: str, paths: Sequence[Path]) -> Iterator[Judged]:
+def judge_pictures(
+    calibration: Calibration, profile: str, paths: Sequence[Path]
+) -> Iterator[Judged]:
     """Judge each picture as the profile would; the picture's own judge refuses one that cannot be read."""
     reconstructor = make_reconstructor(calibration, PROFILES[profile])
     for path in paths:
@@ -58,12 +65,16 @@ def figures(judged: Sequence[Judged]) -> list[str]:
     by_figure: dict[tuple[str, str], list[Measured]] = {}
     for each in (measured for one in judged for measured in one.measured):
         by_figure.setdefault((each.judge, each.what), []).append(each)
-    lines = [f"{'judge':<8} {'figure':<37} {'found':<18} {'limits':<18} {'pictures':>8} {'refused':>8}"]
+    lines = [
+        f"{'judge':<8} {'figure':<37} {'found':<18} {'limits':<18} {'pictures':>8} {'refused':>8}"
+    ]
     for (judge, what), some in by_figure.items():
         found, limits = [each.found for each in some], (some[0].least, some[0].most)
         between = f"{min(found):.3g} to {max(found):.3g}"
         refused = sum(each.refuses for each in some)
-        lines.append(f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} {refused:>8}")
+        lines.append(
+            f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} {refused:>8}"
+        )
     return lines
 
 

@@ -29,7 +29,9 @@ _MB: Final = 1e6
 
 def check_serial(machine: Machine, device: str | None = "") -> Findings:
     """One finding per sound port and problem; `device` is the robot's, None if there is none, "" if unknown."""
-    listed = [path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)]
+    listed = [
+        path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)
+    ]
     found: list[Finding] = []
     for port in listed:
         if machine.read(f"/sys/class/tty/{port}/type") == _NO_UART:
@@ -43,12 +45,17 @@ def check_serial(machine: Machine, device: str | None = "") -> Findings:
     if device is None or not device.startswith("/dev/") or machine.at(device).exists():
         return tuple(found)
     fix = "plug the robot in, and check which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
-    return (fault("serial", f"{device}: no such device, although serial.device names it", fix), *found)
+    return (
+        fault("serial", f"{device}: no such device, although serial.device names it", fix),
+        *found,
+    )
 
 
 def _label(port: str, machine: Machine) -> str:
     target = os.path.realpath(machine.at(f"/dev/{port}"))
-    paths = [path for folder in ("by-id", "by-path") for path in machine.names(f"/dev/serial/{folder}")]
+    paths = [
+        path for folder in ("by-id", "by-path") for path in machine.names(f"/dev/serial/{folder}")
+    ]
     names = [machine.name_of(path) for path in paths if os.path.realpath(path) == target]
     return f"/dev/{port}, best named {names[0]}" if names else f"/dev/{port}"
 
@@ -58,36 +65,54 @@ def _check_port(port: str, machine: Machine) -> Findings:
     path = machine.at(device)
     label = _label(port, machine)
     if not path.exists():
-        return (warning("serial", f"{device}: the kernel lists this port, but /dev does not", "sudo udevadm trigger"),)
+        return (
+            warning(
+                "serial",
+                f"{device}: the kernel lists this port, but /dev does not",
+                "sudo udevadm trigger",
+            ),
+        )
     wrong = []
     if not may_use(path):
         wrong.append(warning("serial", f"{label}: no permission", permission_fix(path, "dialout")))
     if _is_console(port, machine):
         fix = (
-            f"if a robot uses this port: sudo systemctl disable --now serial-getty@{port}; on a Raspberry Pi, also turn"
+            f"if a robot uses this port: sudo systemctl disable --now serial-getty@{port}; "
+            "on a Raspberry Pi, also turn"
         )
-        fix += " off the login shell in sudo raspi-config (Interface Options, Serial Port) and reboot"
+        fix += (
+            " off the login shell in sudo raspi-config (Interface Options, Serial Port) and reboot"
+        )
         found = f"{label}: the system's console uses this port and would send text to a robot"
         wrong.append(warning("serial", found, fix))
     for process in machine.holders(device):
-        if process != machine.daemon() and not any(word.endswith("getty") for word in process.words[:1]):
+        if process != machine.daemon() and not any(
+            word.endswith("getty") for word in process.words[:1]
+        ):
             fix = f"if a robot uses this port, end that program: kill {process.pid}"
             wrong.append(warning("serial", f"{label}: in use by {process}", fix))
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
         fix = f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make this permanent, "
         fix += f"add this line to /etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
-        wrong.append(warning("serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix))
+        wrong.append(
+            warning(
+                "serial", f"{label}: the port's chip holds bytes back for up to {timer} ms", fix
+            )
+        )
     return tuple(wrong) or (ok("serial", f"{label}: the port is free to use"),)
 
 
 def _is_console(port: str, machine: Machine) -> bool:
     """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first port."""
     consoles = re.findall(r"(?:^|\s)console=([^\s,]+)", machine.read("/proc/cmdline"))
-    if os.path.realpath(machine.at(f"/dev/{port}")) in [os.path.realpath(machine.at(f"/dev/{c}")) for c in consoles]:
+    if os.path.realpath(machine.at(f"/dev/{port}")) in [
+        os.path.realpath(machine.at(f"/dev/{c}")) for c in consoles
+    ]:
         return True
     return any(
-        process.words[0].endswith("getty") and any(word in (port, f"/dev/{port}") for word in process.words[1:])
+        process.words[0].endswith("getty")
+        and any(word in (port, f"/dev/{port}") for word in process.words[1:])
         for process in machine.processes()
     )
 
@@ -143,7 +168,9 @@ def port_of(device: str, machine: Machine) -> Port | None:
 def judge_usb(port: Port, cameras: Sequence[V4l2]) -> Finding:
     """Judge whether the cameras fit through the port."""
     each = [bytes_s(camera) for camera in cameras]
-    formats = ", ".join(dict.fromkeys(f"{c.fourcc} {c.width_px}x{c.height_px} at {c.fps}/s" for c in cameras))
+    formats = ", ".join(
+        dict.fromkeys(f"{c.fourcc} {c.width_px}x{c.height_px} at {c.fps}/s" for c in cameras)
+    )
     found = f"{port}: {counted(len(cameras), 'camera')} with {formats}: "
     found += f"about {sum(each) / _MB:.0f} of {port.most_bytes_s / _MB:.0f} MB/s"
     if fits(port, cameras):

@@ -30,7 +30,9 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
     and keep the old one beside it. Fitted networks that cannot run are left out. Raises ConfigError.
     """
     version = calibration_file.version_of(path)
-    inputs = None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
+    inputs = (
+        None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
+    )
     if version is None or inputs is None:
         return _running(path, calibration_file.load(path))
     from tacshade_edge.core.calibration.calibrate import make_again  # needed only after an update
@@ -41,8 +43,13 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
         fitted, touch = calibration_file.fitted_in(path), calibration_file.touch_in(path)
         made = replace(make_again(inputs, load_networks()), fitted=fitted, touch=touch)
     except ConfigError as error:
-        raise ConfigError(f"{path}: cannot recalibrate from the file's images: {error}; calibrate again") from None
-    return _running(path, _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made))
+        raise ConfigError(
+            f"{path}: cannot recalibrate from the file's images: {error}; calibrate again"
+        ) from None
+    return _running(
+        path,
+        _stored(Path(path), made, inputs, version) if store else calibration_file.with_crc(made),
+    )
 
 
 def of_recording(recording: Path) -> Calibration | None:
@@ -58,12 +65,18 @@ def of_recording(recording: Path) -> Calibration | None:
 
 def fits_to_renew(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Profiles whose fitted weights in a file do not have the shipped network's layout. Raises ConfigError."""
-    return tuple(name for name, fitted in calibration_file.fitted_in(path).items() if not _can_run(name, fitted))
+    return tuple(
+        name
+        for name, fitted in calibration_file.fitted_in(path).items()
+        if not _can_run(name, fitted)
+    )
 
 
 def _running(path: str | os.PathLike[str], calibration: Calibration) -> Calibration:
     """The calibration without the fitted networks that cannot run."""
-    can_run = {name: fitted for name, fitted in calibration.fitted.items() if _can_run(name, fitted)}
+    can_run = {
+        name: fitted for name, fitted in calibration.fitted.items() if _can_run(name, fitted)
+    }
     if len(can_run) == len(calibration.fitted):
         return calibration
     renew = ", ".join(sorted(set(calibration.fitted) - set(can_run)))

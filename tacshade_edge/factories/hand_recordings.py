@@ -21,7 +21,11 @@ from tacshade_edge.settings import Settings, strict_yaml
 from tacshade_edge.settings.load import convert
 from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, SETTINGS_NAME, content_of
+from tacshade_edge.storage.recording.recording_content import (
+    CALIBRATION_NAME,
+    SETTINGS_NAME,
+    content_of,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -85,18 +89,25 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
         hands.add(settings.hand_id)
         if len(hands) > 1:
             named = ", ".join(sorted(hands))
-            raise ConfigError(f"{path}: found recordings of the hands {named}, expected recordings of one hand")
+            raise ConfigError(
+                f"{path}: found recordings of the hands {named}, expected recordings of one hand"
+            )
         if settings.sensor_id in fingers:
             text = f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"
             raise ConfigError(text)
         if (calibration := calibrations.of_recording(path)) is None:
-            raise ConfigError(f"{path}: found no {CALIBRATION_NAME}, expected one in each recording")
+            raise ConfigError(
+                f"{path}: found no {CALIBRATION_NAME}, expected one in each recording"
+            )
         recording = Recording(path)
         cut_off = "the recording was cut off; reading what is whole" if recording.cut_off else ""
         for line in filter(None, (recording.damage, cut_off)):
             _log.warning("%s: %s", path, line)
         fingers[settings.sensor_id] = _Recorded(
-            recording, make_reconstructor(calibration, PROFILES[profile]), from_seven(settings.hand_T_sensor), unread
+            recording,
+            make_reconstructor(calibration, PROFILES[profile]),
+            from_seven(settings.hand_T_sensor),
+            unread,
         )
     (hand_id,) = hands
     made = messages({name: finger.reports() for name, finger in fingers.items()})

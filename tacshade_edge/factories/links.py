@@ -34,9 +34,13 @@ def password_in(path: str | Path, where: str) -> str:
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"{where}: {path}: {reason}; expected a file that contains the password") from error
+        raise ConfigError(
+            f"{where}: {path}: {reason}; expected a file that contains the password"
+        ) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{where}: {path}: found bytes that are not UTF-8, expected a password in UTF-8") from error
+        raise ConfigError(
+            f"{where}: {path}: found bytes that are not UTF-8, expected a password in UTF-8"
+        ) from error
     if not password:
         raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
     return password
@@ -53,7 +57,9 @@ def check_broker_files(document: Document) -> None:
 
 
 def make_link(
-    of: Document | Hand, on_request: Callable[[Request], None], on_outcome: Callable[[str, int, PayloadOutcome], None]
+    of: Document | Hand,
+    on_request: Callable[[Request], None],
+    on_outcome: Callable[[str, int, PayloadOutcome], None],
 ) -> MqttLink:
     """Make the link of a sensor, or of a hand, to the broker that the settings name, without starting it. Raises
     ConfigError.

@@ -12,7 +12,16 @@ from tacshade_edge.devices.base import FrameSource
 from tacshade_edge.devices.camera import v4l2_node
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.settings import Document, Files, Rpicam, Serial, Settings, Simulated, Source, V4l2
+from tacshade_edge.settings import (
+    Document,
+    Files,
+    Rpicam,
+    Serial,
+    Settings,
+    Simulated,
+    Source,
+    V4l2,
+)
 from tacshade_edge.storage.tables.frame_table import table_in
 
 if TYPE_CHECKING:
@@ -44,7 +53,9 @@ def make_source(source: Source) -> FrameSource:
 def frames_have_poses(settings: Settings) -> bool:
     """Whether frames may have poses: from a robot, or from a table in the source's folder."""
     source = settings.source
-    return settings.serial is not None or (isinstance(source, Files) and table_in(Path(source.path)) is not None)
+    return settings.serial is not None or (
+        isinstance(source, Files) and table_in(Path(source.path)) is not None
+    )
 
 
 def how_to_fix(source: Source, code: ReasonCode) -> str | None:

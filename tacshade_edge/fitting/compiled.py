@@ -31,14 +31,18 @@ def solve(obstacle: F32, mass: F32) -> F32:
     """Solve like `simulator.skin.solve`, within `TOLERANCE_MM`."""
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
-        coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
+        coarse = solve(
+            np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4
+        )
         _refine(coarse, height)
     height[0] = height[-1] = 0
     height[:, 0] = height[:, -1] = 0
     # Stiffness varies, and the least stiffness would over-relax all other nodes.
     jacobi = 4 / (4 + float(np.median(mass)))
     omega = 2 / (1 + math.sqrt(1 - jacobi * jacobi))
-    _relax(height, obstacle, 1 / (4 + mass), np.float32(omega), np.float32(TOLERANCE_MM * (2 - omega)))
+    _relax(
+        height, obstacle, 1 / (4 + mass), np.float32(omega), np.float32(TOLERANCE_MM * (2 - omega))
+    )
     return height
 
 
@@ -63,7 +67,9 @@ def _relax(height, obstacle, gain, omega, tolerance):  # type: ignore[no-untyped
             for i in range(1, rows - 1):
                 for j in range(1 + (i + colour) % 2, cols - 1, 2):
                     old = height[i, j]
-                    total = height[i - 1, j] + height[i + 1, j] + height[i, j - 1] + height[i, j + 1]
+                    total = (
+                        height[i - 1, j] + height[i + 1, j] + height[i, j - 1] + height[i, j + 1]
+                    )
                     new = max(old + omega * (total * gain[i, j] - old), obstacle[i, j])
                     change = max(change, abs(new - old))
                     height[i, j] = new
@@ -91,7 +97,10 @@ def _slide(w, held, limit, mass):  # type: ignore[no-untyped-def]
                     y = w[1, i - 1, j] + w[1, i + 1, j] + w[1, i, j - 1] + w[1, i, j + 1]
                     if limit[i, j] > 0:
                         qx, qy = held[0, i, j] * diagonal - x, held[1, i, j] * diagonal - y
-                        part = min(limit[i, j] / max(math.sqrt(qx * qx + qy * qy), np.float32(1e-12)), np.float32(1))
+                        part = min(
+                            limit[i, j] / max(math.sqrt(qx * qx + qy * qy), np.float32(1e-12)),
+                            np.float32(1),
+                        )
                         x, y = x + part * qx, y + part * qy
                     x, y = x / diagonal - w[0, i, j], y / diagonal - w[1, i, j]
                     change = max(change, abs(x), abs(y))
@@ -140,7 +149,10 @@ def _march(origin, along, height, radius, step, least, most, points):  # type: i
         low = foot + math.sqrt(max(least * least - off_axis, 0.0))
         end = foot + math.sqrt(max(most * most - off_axis, 0.0))
         start, each, high = low, (end - low) / MARCH_STEPS, low
-        f_low, f_high = _outside(ox + low * ax, oy + low * ay, oz + low * az, height, radius, step), 0.0
+        f_low, f_high = (
+            _outside(ox + low * ax, oy + low * ay, oz + low * az, height, radius, step),
+            0.0,
+        )
         if f_low < 0:
             high = end
             for m in range(1, MARCH_STEPS + 1):
@@ -161,7 +173,9 @@ def _march(origin, along, height, radius, step, least, most, points):  # type: i
                 else:
                     low, f_low, f_high = s, f, f_high / 2
         at_low = abs(_outside(ox + low * ax, oy + low * ay, oz + low * az, height, radius, step))
-        at_high = abs(_outside(ox + high * ax, oy + high * ay, oz + high * az, height, radius, step))
+        at_high = abs(
+            _outside(ox + high * ax, oy + high * ay, oz + high * az, height, radius, step)
+        )
         best = low if at_low < at_high else high
         points[k, 0], points[k, 1], points[k, 2] = ox + best * ax, oy + best * ay, oz + best * az
 
@@ -244,5 +258,6 @@ def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
     _undo(now, skin.pressed_mm, skin.radius_mm, skin.step_mm, friction, before)
     before += skin.sample_origin(now[:, 0], now[:, 1])
     return np.asarray(
-        points_mm[:, :2] - skin.radius_mm * chart_to_direction(before[:, 0], before[:, 1], skin.radius_mm)[:, :2]
+        points_mm[:, :2]
+        - skin.radius_mm * chart_to_direction(before[:, 0], before[:, 1], skin.radius_mm)[:, :2]
     )

@@ -31,7 +31,14 @@ from tacshade_edge.fitting import training
 from tacshade_edge.fitting.identify import MERGED, identify
 from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
-from tacshade_edge.fitting.twin import LEAST_PRESSES, Frames, Mechanics, Steps, likely_mechanics, simulate
+from tacshade_edge.fitting.twin import (
+    LEAST_PRESSES,
+    Frames,
+    Mechanics,
+    Steps,
+    likely_mechanics,
+    simulate,
+)
 from tacshade_edge.inference.network import load_network, shipped_layout
 from tacshade_edge.types import F32, Calibration, FittedNetwork
 
@@ -73,7 +80,9 @@ def on_presses(
         use &= inside
         if np.count_nonzero(use) < refit.LEAST_CELLS:
             continue
-        height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(np.float32)
+        height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(
+            np.float32
+        )
         name = press.indenter.name if press.indenter else f"ball of radius {press.radius_mm:g} mm"
         seen.append((name, row, inverse, height, truth, use))
     names = dict.fromkeys(name for name, *_ in seen)
@@ -84,7 +93,10 @@ def on_presses(
             off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
         return {name: float(np.mean(each)) for name, each in off.items()}
 
-    factors = {name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0 for name in names}
+    factors = {
+        name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0
+        for name in names
+    }
     plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
     gains = factor is not None or sum(scaled.values()) < sum(plain.values())
     in_sigma = [
@@ -169,7 +181,9 @@ class NetworkReport:
             return self.fitted_mm < self.shipped_mm
         found_mm = self.fitted_presses_mm
         return (
-            self.fitted_mm < self.shipped_mm and found_mm is not None and found_mm < TOLERATED * self.shipped_presses_mm
+            self.fitted_mm < self.shipped_mm
+            and found_mm is not None
+            and found_mm < TOLERATED * self.shipped_presses_mm
         )
 
     @property
@@ -213,12 +227,22 @@ def fit(
     effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")
     prints = identify(calibration, stated)
-    if stated and prints and prints[0].residual > CONTRADICTED * (shown := identify(calibration))[0].residual:
-        doubt = f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
+    if (
+        stated
+        and prints
+        and prints[0].residual > CONTRADICTED * (shown := identify(calibration))[0].residual
+    ):
+        doubt = (
+            f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
+        )
         found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
         return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
     if not prints or prints[0].residual > MOST_UNEXPLAINED:
-        why = "no pins were found" if not prints else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
+        why = (
+            "no pins were found"
+            if not prints
+            else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
+        )
         found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
         return FitResult(calibration, (found,))
     if not presses and prints[0].residual > UNEXPLAINED_ALONE:
@@ -232,11 +256,17 @@ def fit(
         folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         steps = Steps(folder, _digest(calibration, presses, stated, mechanics, effort))
         weights = _worked(calibration, prints, mechanics, effort, steps, say)
-        held = [steps.frames(f"frames-{seed}") for seed in range(effort.batches - effort.held_out, effort.batches)]
+        held = [
+            steps.frames(f"frames-{seed}")
+            for seed in range(effort.batches - effort.held_out, effort.batches)
+        ]
         judged = {name: _judged(calibration, presses, held, name, weights[name]) for name in NAMES}
         steps.remove()
     return FitResult(
-        replace(calibration, fitted={name: made for name, (made, report) in judged.items() if report.kept}),
+        replace(
+            calibration,
+            fitted={name: made for name, (made, report) in judged.items() if report.kept},
+        ),
         _words(prints, mechanics, stated),
         tuple(report for _, report in judged.values()),
         _advice(mechanics),
@@ -248,11 +278,16 @@ def _digest(
     calibration: Calibration, presses: Sequence[KnownPress], stated: Mapping[str, float], mechanics: Mechanics,
     effort: Effort,
 ) -> str:  # fmt: skip
-    digest = hashlib.sha256(calibration.reference_white.tobytes() + calibration.reference_grey.tobytes())
+    digest = hashlib.sha256(
+        calibration.reference_white.tobytes() + calibration.reference_grey.tobytes()
+    )
     known = (calibration.geometry, calibration.pitch_px, sorted(stated.items()), mechanics, effort)
     digest.update(repr(known).encode())
     for press in presses:
-        digest.update(press.image.tobytes() + repr((press.radius_mm, press.depth_mm, press.x_mm, press.y_mm)).encode())
+        digest.update(
+            press.image.tobytes()
+            + repr((press.radius_mm, press.depth_mm, press.x_mm, press.y_mm)).encode()
+        )
     for name in LADDER:
         digest.update(shipped_layout(name).encode())
     return digest.hexdigest()
@@ -273,7 +308,9 @@ def _simulated(
     steps: Steps, name: str, calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int,
     effort: Effort,
 ) -> None:  # fmt: skip
-    steps.save_frames(name, simulate(calibration, prints, mechanics, seed, effort.skins, effort.views))
+    steps.save_frames(
+        name, simulate(calibration, prints, mechanics, seed, effort.skins, effort.views)
+    )
 
 
 def _train(steps: Steps, name: str, number: int, calibration: Calibration, effort: Effort) -> None:
@@ -290,7 +327,12 @@ def _train(steps: Steps, name: str, number: int, calibration: Calibration, effor
 
 
 def _worked(
-    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, effort: Effort, steps: Steps, say: Say
+    calibration: Calibration,
+    prints: Sequence[Found],
+    mechanics: Mechanics,
+    effort: Effort,
+    steps: Steps,
+    say: Say,
 ) -> dict[str, F32]:
     """Simulate and train on all cores, but for what is kept; the weights."""
     context = multiprocessing.get_context("spawn")
@@ -306,9 +348,17 @@ def _worked(
             ]
             _wait(jobs, lambda finished: finished / max(len(jobs), 1), "simulating", say)
             to_train = [name for name in names if not steps.has(name)]
-            jobs = [pool.submit(_train, steps, name, k, calibration, effort) for k, name in enumerate(to_train)]
+            jobs = [
+                pool.submit(_train, steps, name, k, calibration, effort)
+                for k, name in enumerate(to_train)
+            ]
             cost = effort.steps * sum(_COSTS[name] for name in to_train)
-            _wait(jobs, lambda _: sum(_COSTS[n] * done[k] for k, n in enumerate(to_train)) / cost, "training", say)
+            _wait(
+                jobs,
+                lambda _: sum(_COSTS[n] * done[k] for k, n in enumerate(to_train)) / cost,
+                "training",
+                say,
+            )
         except BaseException:
             # A training takes minutes: Ctrl-C does not wait for it. What is finished is kept.
             for child in multiprocessing.active_children():
@@ -317,7 +367,9 @@ def _worked(
     return {name: steps.weights(name) for name in names}
 
 
-def _wait(jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: str, say: Say) -> None:
+def _wait(
+    jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: str, say: Say
+) -> None:
     """Wait for jobs, and say every few seconds which part is done; raise what one of them raised."""
     began_s, slow = time.monotonic(), False
     waiting = set(jobs)
@@ -341,7 +393,11 @@ def _skin_radii(calibration: Calibration) -> float:
 
 
 def _judged(
-    calibration: Calibration, presses: Sequence[KnownPress], parts: Sequence[Frames], name: str, weights: F32
+    calibration: Calibration,
+    presses: Sequence[KnownPress],
+    parts: Sequence[Frames],
+    name: str,
+    weights: F32,
 ) -> tuple[FittedNetwork, NetworkReport]:
     """Judge the weights, or with presses the best of `PARTS` of the way to them."""
     maps = training.maps_of(calibration, parts, name)
@@ -356,7 +412,11 @@ def _judged(
         return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm)
 
     own = calibration.factors.get(name, 1.0)
-    before = on_presses(calibration, PROFILES[name], load_network(name), presses, own) if presses else None
+    before = (
+        on_presses(calibration, PROFILES[name], load_network(name), presses, own)
+        if presses
+        else None
+    )
     if before is None or not before.errors_mm:
         made = part_of_the_way(PART_ALONE[name])
         return made, NetworkReport(name, shipped_mm, made.error_mm)
@@ -376,7 +436,12 @@ def _judged(
                 error_scale=after.error_scale,
             )
         tried[part] = made, report
-    return tried[chosen({part: report.fitted_presses_mm for part, (_, report) in tried.items()}, PART_ALONE[name])]
+    return tried[
+        chosen(
+            {part: report.fitted_presses_mm for part, (_, report) in tried.items()},
+            PART_ALONE[name],
+        )
+    ]
 
 
 def chosen(errors_mm: Mapping[float, float | None], alone: float) -> float:
@@ -388,11 +453,15 @@ def chosen(errors_mm: Mapping[float, float | None], alone: float) -> float:
     return best if known_mm[best] < CLEARLY * known_mm[alone] else alone
 
 
-def _words(prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, float]) -> tuple[str, ...]:
+def _words(
+    prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, float]
+) -> tuple[str, ...]:
     """What was found, in words that a person can check against the drawing."""
     best = prints[0]
     pitch_mm = best.base.pitch_mm
-    named = zip(("pins", "tips", "bases", "markers"), ("long", *["in radius"] * 3), PARAMETERS, strict=True)
+    named = zip(
+        ("pins", "tips", "bases", "markers"), ("long", *["in radius"] * 3), PARAMETERS, strict=True
+    )
     sizes = []
     for k, (what, how, parameter) in enumerate(named):
         if best.kind.white_tips and what == "markers":
@@ -406,17 +475,25 @@ def _words(prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, f
             continue
         each = pitch_mm * np.array([found.values[k] for found in prints])
         spread = pitch_mm * math.sqrt(best.cloud()[k, k])
-        sizes.append(f"{what} {max(each.min() - spread, 0):.2f} to {each.max() + spread:.2f} mm {how}")
+        sizes.append(
+            f"{what} {max(each.min() - spread, 0):.2f} to {each.max() + spread:.2f} mm {how}"
+        )
     unexplained = f"{100 * best.residual:.0f} % of the pattern unexplained"
-    lines = [f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} ({unexplained})"]
+    lines = [
+        f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} ({unexplained})"
+    ]
     if mechanics.seen:
         decay = " to ".join(f"{each:.1f}" for each in mechanics.decay_mm)
         friction = " to ".join(f"{each:.1f}" for each in mechanics.friction)
-        lines.append(f"found that the skin's dent decays over {decay} mm beside a contact, and friction {friction}")
+        lines.append(
+            f"found that the skin's dent decays over {decay} mm beside a contact, and friction {friction}"
+        )
     return tuple(lines)
 
 
 def _advice(mechanics: Mechanics) -> tuple[str, ...]:
     if mechanics.seen:
         return ()
-    return (f"press at least {LEAST_PRESSES} balls at stated places: they show how soft the skin is",)
+    return (
+        f"press at least {LEAST_PRESSES} balls at stated places: they show how soft the skin is",
+    )

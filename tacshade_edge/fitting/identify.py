@@ -67,7 +67,9 @@ FLATTEST, FARTHEST, LEAST_PINS = 0.02, 1.2, 12
 """The least curvature of a quadratic, as a part of its greatest, and the farthest step, in halves of a box."""
 
 
-def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProxyType({})) -> list[Found]:
+def identify(
+    calibration: Calibration, stated: Mapping[str, float] = MappingProxyType({})
+) -> list[Found]:
     """Fit the likeliest kinds of print to the reference; the best first, none if no pins are seen.
 
     `stated` holds sizes in mm that are known: ``pitch_mm``, and `PARAMETERS` in mm.
@@ -78,7 +80,9 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
     known = {k: size / base.pitch_mm for k, size in enumerate(sizes) if size is not None}
     reference = white.reference()
     light, darkness = seen_light(calibration)
-    base = replace(base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6))
+    base = replace(
+        base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6)
+    )
     dark, tips = find_tips(calibration, False, NOMINAL_PITCHES), find_tips(calibration, True, 0.7)
     lattice = find_lattice(calibration, dark, NOMINAL_PITCHES)
     disc = calibration.geometry.disc
@@ -94,16 +98,24 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
             lengths, others, first = [0.6], (0.25, 0.25, 0.4), (0, 1, 2)
         elif lattice is not None and not kind.white_tips:
             seen_at, place = None, lattice.values
-            lengths, others, first = [1.1, 1.6, 2.0], (0.35, 0.28, MERGED if merge else 0.45), (0, 1, 3)
+            lengths, others, first = (
+                [1.1, 1.6, 2.0],
+                (0.35, 0.28, MERGED if merge else 0.45),
+                (0, 1, 3),
+            )
         else:
             continue
-        problem = Problem(white, reference, calibration.pitch_px, sharp, middle, light, base, kind, seen_at)
+        problem = Problem(
+            white, reference, calibration.pitch_px, sharp, middle, light, base, kind, seen_at
+        )
         starts = [np.array((length, *others, *place, blur_px)) for length in lengths]
         for start in starts:
             start[list(known)] = list(known.values())
         reach = np.array((*[99.0] * 6, 0.3))[: len(place)]
         limits = (
-            np.array((*STEPS, *(e, e, e / 8, e / 8, e / 8, e / 8, 0.004)[: len(place)], BLUR_STEP_PX)),
+            np.array(
+                (*STEPS, *(e, e, e / 8, e / 8, e / 8, e / 8, 0.004)[: len(place)], BLUR_STEP_PX)
+            ),
             np.array((*LOWEST, *-reach, BLURS_PX[0])),
             np.array((*HIGHEST, *reach, BLURS_PX[1])),
         )
@@ -113,7 +125,12 @@ def identify(calibration: Calibration, stated: Mapping[str, float] = MappingProx
         starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
         if not problem.tips:
             markers = (MERGED,) if merge else MARKERS
-            starts += [_resized(each, (*sizes, m), known) for each in starts for sizes in SIZES for m in markers]
+            starts += [
+                _resized(each, (*sizes, m), known)
+                for each in starts
+                for sizes in SIZES
+                for m in markers
+            ]
         starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
         fits = [levenberg(finer, each, free, *limits, 4) for each in starts[:STARTS]]
         fit = min(fits, key=lambda fit: fit[1])
@@ -166,9 +183,15 @@ def registered(problem: Problem, values: F64, moved_px: F64 | float) -> F64:
 
     def beside(product: F32) -> F64:
         spread = cv2.GaussianBlur(product * problem.white.inside, (0, 0), sigma_cells)
-        return np.asarray(cv2.remap(spread, cells[:, :1], cells[:, 1:], cv2.INTER_LINEAR), np.float64)
+        return np.asarray(
+            cv2.remap(spread, cells[:, :1], cells[:, 1:], cv2.INTER_LINEAR), np.float64
+        )
 
-    xx, xy, yy = beside(across * across) + LEAST_SLOPE, beside(across * down), beside(down * down) + LEAST_SLOPE
+    xx, xy, yy = (
+        beside(across * across) + LEAST_SLOPE,
+        beside(across * down),
+        beside(down * down) + LEAST_SLOPE,
+    )
     x, y = beside(across * off), beside(down * off)
     step_px = grid.step_px * np.hstack((xy * y - yy * x, xy * x - xx * y)) / (xx * yy - xy * xy)
     step_px[np.hypot(*(px - (disc.col_c, disc.row_c)).T) > REGISTERED_PART * disc.radius_px] = 0
@@ -179,23 +202,32 @@ def with_lattice(problem: Problem, values: F64, moved_px: F64) -> F64:
     """The values with the lattice that fits the tips best where they appear."""
     model, lattice = sensor_with(problem.base, problem.kind, None, values)
     assert isinstance(lattice, Lattice)
-    steps, near = lattice.steps(model.skin_radius_mm, 1.05 * reach_mm(model)), (moved_px != 0).any(axis=1)
+    steps, near = (
+        lattice.steps(model.skin_radius_mm, 1.05 * reach_mm(model)),
+        (moved_px != 0).any(axis=1),
+    )
     if np.count_nonzero(near) < LEAST_PINS:
         return values
     steps, target = steps[near], (tips_px(model, lattice) + moved_px)[near]
     fit = least_squares(
-        lambda each: (lattice_px(model, Lattice(each), steps) - target).ravel(), lattice.values, loss="cauchy"
+        lambda each: (lattice_px(model, Lattice(each), steps) - target).ravel(),
+        lattice.values,
+        loss="cauchy",
     )
     return np.concatenate((values[:4], fit.x, values[-1:]))
 
 
-def quadratic(residual: Callable[[F64], F64], values: F64, free: Sequence[int], box: F64, seed: int) -> tuple[F64, F64]:
+def quadratic(
+    residual: Callable[[F64], F64], values: F64, free: Sequence[int], box: F64, seed: int
+) -> tuple[F64, F64]:
     """The values at the minimum of the quadratic through the costs of random values in a box, and their covariance."""
     at, n = list(free), len(free)
     columns_of = [min(k, 3) for k in at]
     half, low, high = box[columns_of], LEAST[columns_of], MOST[columns_of]
     tried = np.tile(values, (DRAWN, 1))
-    tried[:, at] = np.clip(values[at] + np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n)) * half, low, high)
+    tried[:, at] = np.clip(
+        values[at] + np.random.default_rng(seed).uniform(-1, 1, (DRAWN, n)) * half, low, high
+    )
     x = (tried[:, at] - values[at]) / half
     residuals = [residual(each) for each in tried]
     costs = np.array([float(r @ r) for r in residuals])
@@ -225,7 +257,13 @@ def _resized(values: F64, sizes: Sequence[float], known: Mapping[int, float]) ->
 
 
 def levenberg(
-    residual: Callable[[F64], F64], start: F64, free: list[int], steps: F64, low: F64, high: F64, rounds: int
+    residual: Callable[[F64], F64],
+    start: F64,
+    free: list[int],
+    steps: F64,
+    low: F64,
+    high: F64,
+    rounds: int,
 ) -> tuple[F64, float, F64]:
     """Least squares over the `free` values with differences of `steps`: the values, their cost, the last Jacobian.
 

@@ -38,12 +38,24 @@ class Lattice:
     def at(self, steps: F64, radius_mm: float) -> F64:
         """The points (N, 2) that are so many steps (N, 2) from the origin."""
         flat = self.values[0:2] + steps @ self.values[2:6].reshape(2, 2)
-        return np.asarray(flat * (1 + self.values[6] * (flat * flat).sum(axis=1, keepdims=True) / radius_mm**2))
+        return np.asarray(
+            flat * (1 + self.values[6] * (flat * flat).sum(axis=1, keepdims=True) / radius_mm**2)
+        )
 
-    def steps(self, radius_mm: float, limit_mm: float, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)) -> F64:
+    def steps(
+        self,
+        radius_mm: float,
+        limit_mm: float,
+        parts: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+    ) -> F64:
         """Numbers of steps (N, 2), shifted by parts of steps, that end within a limit."""
-        n = math.ceil(1.5 * limit_mm / np.linalg.norm(self.values[2:6].reshape(2, 2), axis=1).min()) + 2
-        whole = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)), axis=-1).reshape(-1, 2)
+        n = (
+            math.ceil(1.5 * limit_mm / np.linalg.norm(self.values[2:6].reshape(2, 2), axis=1).min())
+            + 2
+        )
+        whole = np.stack(np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)), axis=-1).reshape(
+            -1, 2
+        )
         steps = np.concatenate([whole + np.array(part) for part in parts])
         return np.asarray(steps[np.linalg.norm(self.at(steps, radius_mm), axis=1) < limit_mm])
 
@@ -75,7 +87,11 @@ def pitch_mm_of(calibration: Calibration) -> float:
     geometry = calibration.geometry
     if geometry.camera_distance_mm is None:
         return calibration.pitch_px * geometry.mm_per_px
-    return calibration.pitch_px * (geometry.skin_radius_mm + geometry.camera_distance_mm) / geometry.f_px
+    return (
+        calibration.pitch_px
+        * (geometry.skin_radius_mm + geometry.camera_distance_mm)
+        / geometry.f_px
+    )
 
 
 def find_tips(calibration: Calibration, white_tips: bool, length_pitches: float) -> F64:
@@ -87,13 +103,17 @@ def find_tips(calibration: Calibration, white_tips: bool, length_pitches: float)
     n = int(limit / px_mm)
     axis = np.arange(-n, n + 1) * px_mm
     chart = np.stack([each.ravel() for each in np.meshgrid(axis, axis)], axis=1)
-    chart *= np.minimum(1, 1.3 * limit / np.maximum(np.linalg.norm(chart, axis=1, keepdims=True), 1e-9))
+    chart *= np.minimum(
+        1, 1.3 * limit / np.maximum(np.linalg.norm(chart, axis=1, keepdims=True), 1e-9)
+    )
     at = project(geometry, equal_area_to_direction(chart, radius_mm) * radius_mm).astype(np.float32)
     cols, rows = (np.ascontiguousarray(at[:, k].reshape(2 * n + 1, 2 * n + 1)) for k in (0, 1))
     grey = calibration.reference_grey.astype(np.float32)
     mask = disc_mask(grey.shape[0], grey.shape[1], disc).astype(np.float32)
     sigma = 1.2 * calibration.pitch_px
-    local = cv2.GaussianBlur(grey * mask, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3)
+    local = cv2.GaussianBlur(grey * mask, (0, 0), sigma) / np.maximum(
+        cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3
+    )
     seen = cv2.remap((grey - local) * mask, cols, rows, cv2.INTER_LINEAR)
     inside = cv2.remap(mask, cols, rows, cv2.INTER_LINEAR) > 0.99
     blob = cv2.GaussianBlur(seen if white_tips else -seen, (0, 0), 0.22 * 12)
@@ -140,7 +160,11 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
     strong = steps[support > 0.45 * support.max()]
     strong = strong[np.argsort(np.linalg.norm(strong, axis=1))]
     a = _centre(steps, strong[0], 0.2 * pitch)
-    across = np.abs(a[0] * strong[:, 1] - a[1] * strong[:, 0]) / np.linalg.norm(a) / np.linalg.norm(strong, axis=1)
+    across = (
+        np.abs(a[0] * strong[:, 1] - a[1] * strong[:, 0])
+        / np.linalg.norm(a)
+        / np.linalg.norm(strong, axis=1)
+    )
     if not (across > 0.7).any():
         return None
     b = _centre(steps, strong[np.argmax(across > 0.7)], 0.2 * pitch)

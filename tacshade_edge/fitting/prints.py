@@ -38,7 +38,12 @@ from tacshade_edge.simulator.render import (
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration
 
-PARAMETERS = ("pin_length_pitches", "pin_tip_radius_pitches", "pin_base_radius_pitches", "marker_radius_pitches")
+PARAMETERS = (
+    "pin_length_pitches",
+    "pin_tip_radius_pitches",
+    "pin_base_radius_pitches",
+    "marker_radius_pitches",
+)
 DEVIATIONS = np.array((0.05, 0.007, 0.012, 0.02))
 WHITE_TIP_DEVIATIONS = np.array((0.35, 0.015, 0.03, 0.02))
 """Standard deviations of `PARAMETERS` by which a fit is off besides its own doubt. Only the size of their tips shows
@@ -60,7 +65,11 @@ class Kind:
     @property
     def name(self) -> str:
         """For reports."""
-        what = "white tips" if self.white_tips else f"dark pins, {len(self.marker_parts)} markers a cell"
+        what = (
+            "white tips"
+            if self.white_tips
+            else f"dark pins, {len(self.marker_parts)} markers a cell"
+        )
         return what + (", caps" if self.profile.rings else "")
 
 
@@ -111,11 +120,16 @@ def seen_light(calibration: Calibration) -> tuple[F32, float]:
     dark = cv2.erode(np.where(mask, grey, np.uint8(255)), kernel).astype(np.float32)
     weight = mask.astype(np.float32)
     sigma = 1.5 * calibration.pitch_px
-    white = cv2.GaussianBlur(white * weight, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
-    middle = (
-        np.hypot(*(np.indices(grey.shape) - np.array((disc.row_c, disc.col_c))[:, None, None])) < 0.8 * disc.radius_px
+    white = cv2.GaussianBlur(white * weight, (0, 0), sigma) / np.maximum(
+        cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3
     )
-    return np.maximum(white, 1).astype(np.float32), float(np.median(dark[middle] / np.maximum(white[middle], 1)))
+    middle = (
+        np.hypot(*(np.indices(grey.shape) - np.array((disc.row_c, disc.col_c))[:, None, None]))
+        < 0.8 * disc.radius_px
+    )
+    return np.maximum(white, 1).astype(np.float32), float(
+        np.median(dark[middle] / np.maximum(white[middle], 1))
+    )
 
 
 def base_model(calibration: Calibration) -> SensorModel:
@@ -145,11 +159,19 @@ def with_print(model: SensorModel, kind: Kind, values: F64) -> SensorModel:
     sizes: dict[str, Any] = dict(zip(PARAMETERS, map(float, values), strict=True))
     model = replace(model, **sizes)
     if kind.white_tips:
-        return replace(model, skin_reflectance=0.1, marker_reflectance=0.1, pin_reflectance=0.09, pin_tip_reflectance=1)
+        return replace(
+            model,
+            skin_reflectance=0.1,
+            marker_reflectance=0.1,
+            pin_reflectance=0.09,
+            pin_tip_reflectance=1,
+        )
     return replace(model, marker_reflectance=1, pin_tip_reflectance=model.pin_reflectance)
 
 
-def sensor_with(base: SensorModel, kind: Kind, tips: Tips | None, values: F64) -> tuple[SensorModel, Layout]:
+def sensor_with(
+    base: SensorModel, kind: Kind, tips: Tips | None, values: F64
+) -> tuple[SensorModel, Layout]:
     """The sensor with the values of a fit, and where its pins are."""
     model = replace(with_print(base, kind, values[:4]), blur_px=float(values[-1]))
     return model, tips or Lattice(values[4:-1])
@@ -162,13 +184,17 @@ def lattice_px(model: SensorModel, lattice: Lattice, steps: F64) -> F64:
     return project(model.geometry, tips)
 
 
-def tips_px(model: SensorModel, layout: Layout, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)) -> F64:
+def tips_px(
+    model: SensorModel, layout: Layout, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)
+) -> F64:
     """Where tips appear, (N, 2), col and row; with `parts`, what lies parts of the lattice's steps beside them."""
     if not parts:
         return np.zeros((0, 2))
     if isinstance(layout, Tips):
         return layout.px
-    return lattice_px(model, layout, layout.steps(model.skin_radius_mm, 1.05 * reach_mm(model), parts))
+    return lattice_px(
+        model, layout, layout.steps(model.skin_radius_mm, 1.05 * reach_mm(model), parts)
+    )
 
 
 def print_of(model: SensorModel, kind: Kind, layout: Layout, moved_px: F64 | float = 0.0) -> Print:
@@ -176,7 +202,9 @@ def print_of(model: SensorModel, kind: Kind, layout: Layout, moved_px: F64 | flo
     r = model.skin_radius_mm
 
     def on_skin(px: F64) -> F64:
-        return equal_area(sphere_points(model.geometry, px, r - model.pin_length_pitches * model.pitch_mm), r)
+        return equal_area(
+            sphere_points(model.geometry, px, r - model.pin_length_pitches * model.pitch_mm), r
+        )
 
     pins, markers = tips_px(model, layout) + moved_px, tips_px(model, layout, kind.marker_parts)
     return print_at(model, on_skin(pins), on_skin(markers))
@@ -188,20 +216,28 @@ class WhiteMap:
     def __init__(self, calibration: Calibration) -> None:
         disc = calibration.geometry.disc
         self._calibration = calibration
-        self._mask = disc_mask(calibration.image_height_px, calibration.image_width_px, disc).astype(np.uint8)
+        self._mask = disc_mask(
+            calibration.image_height_px, calibration.image_width_px, disc
+        ).astype(np.uint8)
         self._integrator = Integrator(Window(0, 0, *self._mask.shape), 0)
         self._cells = CellMeans(self._integrator, disc_map.map_grid(disc))
-        axis = (np.arange(disc_map.CELLS) + 0.5 - disc_map.CELLS / 2) * (2 * disc_map.REACH / disc_map.CELLS)
+        axis = (np.arange(disc_map.CELLS) + 0.5 - disc_map.CELLS / 2) * (
+            2 * disc_map.REACH / disc_map.CELLS
+        )
         self.inside = np.hypot(axis[:, None], axis[None, :]) < 0.93
 
     def of(self, grey: U8) -> F32:
         """White of a picture, float32 (cells, cells), 0 to 1."""
         c = self._calibration
-        return self._cells.means(self._integrator.integrate(binarise(grey, self._mask, c.binarisation, c.pitch_px)))
+        return self._cells.means(
+            self._integrator.integrate(binarise(grey, self._mask, c.binarisation, c.pitch_px))
+        )
 
     def reference(self) -> F32:
         """White of the reference."""
-        return self._cells.means(self._integrator.integrate(self._calibration.reference_white)) / np.float32(255)
+        return self._cells.means(
+            self._integrator.integrate(self._calibration.reference_white)
+        ) / np.float32(255)
 
 
 class TwinRenderer(Renderer):
@@ -219,11 +255,15 @@ def sharpness(grey: U8, mask: Bool) -> float:
     """How much steeper a picture is than after a slight blur, as a logarithm; it does not depend on the light."""
 
     def steep(image: F32) -> float:
-        by_axis = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8)[mask] for axis in ((1, 0), (0, 1)))
+        by_axis = (
+            cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8)[mask] for axis in ((1, 0), (0, 1))
+        )
         return sum(float(np.square(each).sum()) for each in by_axis)
 
     image = grey.astype(np.float32)
-    return math.log(max(steep(image), 1e-6) / max(steep(cv2.GaussianBlur(image, (0, 0), SHARP_PX)), 1e-6))
+    return math.log(
+        max(steep(image), 1e-6) / max(steep(cv2.GaussianBlur(image, (0, 0), SHARP_PX)), 1e-6)
+    )
 
 
 def at_rest(model: SensorModel, kind: Kind, marks: Print, light: F32) -> U8:

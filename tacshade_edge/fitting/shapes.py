@@ -48,7 +48,9 @@ def _rotation(rng: Rng, tilt_deg: float) -> F64:
     def about_z(a: float) -> F64:
         return np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
 
-    about_x = np.array(((1, 0, 0), (0, math.cos(tilt), -math.sin(tilt)), (0, math.sin(tilt), math.cos(tilt))))
+    about_x = np.array(
+        ((1, 0, 0), (0, math.cos(tilt), -math.sin(tilt)), (0, math.sin(tilt), math.cos(tilt)))
+    )
     return np.asarray(about_z(lean) @ about_x @ about_z(turn))
 
 
@@ -79,13 +81,17 @@ def _disc(radius: float, x0: float = 0.0, y0: float = 0.0) -> Outline:
     return lambda x, y: _norm(x - x0, y - y0) - radius
 
 
-def _rectangle(half_x: float, half_y: float, x0: float = 0.0, y0: float = 0.0, turn: float = 0.0) -> Outline:
+def _rectangle(
+    half_x: float, half_y: float, x0: float = 0.0, y0: float = 0.0, turn: float = 0.0
+) -> Outline:
     c, s = math.cos(turn), math.sin(turn)
 
     def outline(x: F64, y: F64) -> F64:
         x, y = x - x0, y - y0
         dx, dy = np.abs(c * x + s * y) - half_x, np.abs(c * y - s * x) - half_y
-        return np.asarray(_norm(np.maximum(dx, 0), np.maximum(dy, 0)) + np.minimum(np.maximum(dx, dy), 0))
+        return np.asarray(
+            _norm(np.maximum(dx, 0), np.maximum(dy, 0)) + np.minimum(np.maximum(dx, dy), 0)
+        )
 
     return outline
 
@@ -97,7 +103,9 @@ def _ellipse(a: float, b: float) -> Outline:
 def _convex(rng: Rng, corners: int, radius: float) -> Outline:
     """Intersect half planes at roughly even angles."""
     angles = (np.arange(corners) + rng.uniform(-0.3, 0.3, corners)) * (2 * math.pi / corners)
-    reach = radius * rng.uniform(0.6, 1.0, corners) if rng.random() < 0.6 else np.full(corners, radius)
+    reach = (
+        radius * rng.uniform(0.6, 1.0, corners) if rng.random() < 0.6 else np.full(corners, radius)
+    )
     return lambda x, y: np.max(
         [math.cos(a) * x + math.sin(a) * y - w for a, w in zip(angles, reach, strict=True)], axis=0
     )
@@ -144,7 +152,9 @@ def _random_outline(rng: Rng) -> Outline:
             return _minus(ring, _rectangle(outer, draw(0.8, outer), outer))
         case 8:  # crosses, L, T
             arms = [
-                _rectangle(draw(3.0, 8.5), draw(0.8, 2.5), draw(-4, 4), draw(-4, 4), draw(0, 2 * math.pi))
+                _rectangle(
+                    draw(3.0, 8.5), draw(0.8, 2.5), draw(-4, 4), draw(-4, 4), draw(0, 2 * math.pi)
+                )
                 for _ in range(int(rng.integers(2, 4)))
             ]
             return _plus(*arms)
@@ -152,7 +162,11 @@ def _random_outline(rng: Rng) -> Outline:
             width = draw(0.8, 3.5)
             return _ridges(width, width + draw(0.8, 4.0), draw(3.0, 10.0), int(rng.integers(0, 4)))
         case _:  # a body with holes
-            body = _disc(draw(4.0, 11.0)) if rng.random() < 0.5 else _rectangle(draw(3.5, 9.0), draw(3.5, 9.0))
+            body = (
+                _disc(draw(4.0, 11.0))
+                if rng.random() < 0.5
+                else _rectangle(draw(3.5, 9.0), draw(3.5, 9.0))
+            )
             for _ in range(int(rng.integers(1, 4))):
                 body = _minus(body, _disc(draw(0.8, 3.5), draw(-6, 6), draw(-6, 6)))
             return body
@@ -164,7 +178,9 @@ def _random_outline(rng: Rng) -> Outline:
 def _extruded(rng: Rng) -> Sdf:
     outline = _random_outline(rng)
     rounding = float(rng.choice((rng.uniform(0.1, 0.35), rng.uniform(0.1, 1.2))))
-    wall = math.tan(math.radians(rng.uniform(0, 35))) if rng.random() < 0.25 else 0.0  # drafted walls
+    wall = (
+        math.tan(math.radians(rng.uniform(0, 35))) if rng.random() < 0.25 else 0.0
+    )  # drafted walls
     slope = 1 / math.sqrt(1 + wall * wall)
 
     def sdf(p: F64) -> F64:
@@ -193,13 +209,16 @@ def _ellipsoid(rng: Rng) -> Sdf:
 def _capsule(rng: Rng) -> Sdf:
     half, radius = float(rng.uniform(2.0, 12.0)), _away(rng, 0.8, 5.0, 2.0)
     return _turned(
-        lambda p: _norm(p[:, 0] - np.clip(p[:, 0], -half, half), p[:, 1], p[:, 2]) - radius, _rotation(rng, 20.0)
+        lambda p: _norm(p[:, 0] - np.clip(p[:, 0], -half, half), p[:, 1], p[:, 2]) - radius,
+        _rotation(rng, 20.0),
     )
 
 
 def _torus(rng: Rng) -> Sdf:
     ring, tube = _away(rng, 2.5, 9.0, 5.5), float(rng.uniform(0.8, 2.6))
-    return _turned(lambda p: _norm(_norm(p[:, 0], p[:, 1]) - ring, p[:, 2]) - tube, _rotation(rng, 20.0))
+    return _turned(
+        lambda p: _norm(_norm(p[:, 0], p[:, 1]) - ring, p[:, 2]) - tube, _rotation(rng, 20.0)
+    )
 
 
 def _box(rng: Rng) -> Sdf:
@@ -225,7 +244,10 @@ def _cone(rng: Rng) -> Sdf:
             rho = _norm(p[:, 0], p[:, 1])
         else:
             turn = 2 * math.pi / sides
-            rho = np.max([math.cos(k * turn) * p[:, 0] + math.sin(k * turn) * p[:, 1] for k in range(sides)], axis=0)
+            rho = np.max(
+                [math.cos(k * turn) * p[:, 0] + math.sin(k * turn) * p[:, 1] for k in range(sides)],
+                axis=0,
+            )
             if sides == 2:
                 rho = np.maximum(rho, (np.abs(p[:, 1]) - 9) / max(c, 0.1))
         # The half angle is measured from the axis; points with c·rho < s·z are inside.
@@ -238,7 +260,11 @@ def _bumpy(rng: Rng) -> Sdf:
     """Draw a round plate with bumps and dents."""
     radius = float(rng.uniform(4.0, 14.0))
     n = int(rng.integers(1, 6))
-    centre, width, top = rng.uniform(-7, 7, (n, 2)), rng.uniform(1.0, 4.0, n), rng.uniform(-2.5, 2.5, n)
+    centre, width, top = (
+        rng.uniform(-7, 7, (n, 2)),
+        rng.uniform(1.0, 4.0, n),
+        rng.uniform(-2.5, 2.5, n),
+    )
     steep = float(np.sum(np.abs(top) / width)) * 0.61  # the greatest slopes of the Gaussians
     slope = 1 / math.sqrt(1 + min(steep, 4.0) ** 2)
 
@@ -246,10 +272,21 @@ def _bumpy(rng: Rng) -> Sdf:
         z = p[:, 2]
         for (x0, y0), w, t in zip(centre, width, top, strict=True):
             z = z + t * np.exp(-((p[:, 0] - x0) ** 2 + (p[:, 1] - y0) ** 2) / (2 * w * w))
-        return np.asarray(np.maximum(np.maximum(-z, p[:, 2] - 25) * slope, _norm(p[:, 0], p[:, 1]) - radius))
+        return np.asarray(
+            np.maximum(np.maximum(-z, p[:, 2] - 25) * slope, _norm(p[:, 0], p[:, 1]) - radius)
+        )
 
     return _turned(sdf, _rotation(rng, 10.0))
 
 
-_KINDS: tuple[Callable[[Rng], Sdf], ...] = (_extruded, _ball, _ellipsoid, _capsule, _torus, _box, _cone, _bumpy)
+_KINDS: tuple[Callable[[Rng], Sdf], ...] = (
+    _extruded,
+    _ball,
+    _ellipsoid,
+    _capsule,
+    _torus,
+    _box,
+    _cone,
+    _bumpy,
+)
 _WEIGHTS = (0.46, 0.10, 0.06, 0.09, 0.06, 0.09, 0.07, 0.07)

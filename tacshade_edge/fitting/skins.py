@@ -17,7 +17,14 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.drag import Mechanics, drag_skin, leant_mm, two_scale_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, Shape, distance_mm
-from tacshade_edge.simulator.skin import Skin, left_over, mass_weight, obstacle_of, undeformed, window_of
+from tacshade_edge.simulator.skin import (
+    Skin,
+    left_over,
+    mass_weight,
+    obstacle_of,
+    undeformed,
+    window_of,
+)
 from tacshade_edge.simulator.truth import CONTACT_TOLERANCE_MM
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 
@@ -76,7 +83,9 @@ def _plate(rng: np.random.Generator, reach: float) -> Shape:
     return Shape("plate", sdf)
 
 
-def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
+def random_drag(
+    presses: Sequence[Press], model: SensorModel, rng: np.random.Generator
+) -> tuple[Press, ...]:
     """Drag objects by up to 5 mm (on a skin of 20 mm) and twist them, all in the same way or each differently."""
     scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
     dragged = []
@@ -85,7 +94,12 @@ def random_drag(presses: Sequence[Press], model: SensorModel, rng: np.random.Gen
             size, angle = float(rng.uniform(0, 5.0)) * scale, rng.uniform(0, 2 * math.pi)
             twist = float(np.clip(rng.normal(0, 6), -20, 20)) if rng.random() < 0.6 else 0.0
         dragged.append(
-            replace(press, drag_x_mm=size * math.cos(angle), drag_y_mm=size * math.sin(angle), twist_deg=twist)
+            replace(
+                press,
+                drag_x_mm=size * math.cos(angle),
+                drag_y_mm=size * math.sin(angle),
+                twist_deg=twist,
+            )
         )
     return tuple(dragged)
 
@@ -107,7 +121,10 @@ class Unevenness:
 
 
 def uneven_skin(
-    model: SensorModel, presses: Sequence[Press], unevenness: Unevenness, leaning_mm: F32 | None = None
+    model: SensorModel,
+    presses: Sequence[Press],
+    unevenness: Unevenness,
+    leaning_mm: F32 | None = None,
 ) -> Skin:
     """Press a skin like `press_skin`, but on a foundation with uneven stiffness."""
     if unevenness.two_scales:
@@ -124,7 +141,9 @@ def uneven_skin(
     height[window] = compiled.solve(inside, weight)
     if unevenness.hardening:
         # One step towards the fixed point suffices, because any skirt on the way is as plausible.
-        weight *= 1 + unevenness.hardening * np.minimum(height[window] / (0.15 * model.skin_radius_mm), 2)
+        weight *= 1 + unevenness.hardening * np.minimum(
+            height[window] / (0.15 * model.skin_radius_mm), 2
+        )
         height[window] = compiled.solve(inside, np.maximum(weight, np.float32(1e-4)))
     skin = with_skirt(Skin(model.skin_radius_mm, flat.step_mm, height, floor), *unevenness.skirt)
     return skin.leaning(leaning_mm)
@@ -134,13 +153,18 @@ def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
     """Spread the skirt: blur part of h over some mm, because a soft depth pulls its surroundings down."""
     if part == 0 or not skin.height_mm.any():
         return skin
-    spread = cv2.GaussianBlur(skin.height_mm, (0, 0), reach_mm / skin.step_mm, borderType=cv2.BORDER_CONSTANT)
+    spread = cv2.GaussianBlur(
+        skin.height_mm, (0, 0), reach_mm / skin.step_mm, borderType=cv2.BORDER_CONSTANT
+    )
     height = np.maximum((1 - part) * skin.height_mm + part * spread, skin.obstacle_mm)
     return replace(skin, height_mm=np.asarray(height, np.float32))
 
 
 def pressed_skin(
-    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
+    model: SensorModel,
+    unevenness: Unevenness,
+    rng: np.random.Generator,
+    draw: DrawPresses = random_presses,
 ) -> tuple[Skin, tuple[Press, ...]]:
     """Press random objects into a skin, move them along z until they are about as deep as drawn, and drag them."""
     while True:
@@ -165,14 +189,21 @@ def pressed_skin(
 
 
 def random_skin(
-    model: SensorModel, unevenness: Unevenness, rng: np.random.Generator, draw: DrawPresses = random_presses
+    model: SensorModel,
+    unevenness: Unevenness,
+    rng: np.random.Generator,
+    draw: DrawPresses = random_presses,
 ) -> tuple[Skin, tuple[Press, ...]]:
     """Draw the skin of a frame: pressed, at rest, or with the dent after a release."""
     kind = rng.random()
     if kind < UNLOADED_PART:
         return undeformed(model.skin_radius_mm), ()
     skin, presses = pressed_skin(model, unevenness, rng, draw)
-    return (left_over(skin, float(rng.uniform(0, 0.1))), ()) if kind > 1 - RELEASED_PART else (skin, presses)
+    return (
+        (left_over(skin, float(rng.uniform(0, 0.1))), ())
+        if kind > 1 - RELEASED_PART
+        else (skin, presses)
+    )
 
 
 def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
@@ -184,9 +215,14 @@ def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
         image = camera_faults.uneven(image, disc.row_c, disc.col_c, disc.radius_px, loss, angle)
     if rng.random() < 0.15:
         for _ in range(int(rng.integers(1, 4))):
-            rho, angle = disc.radius_px * math.sqrt(rng.uniform(0, 0.9)), rng.uniform(0, 2 * math.pi)
+            rho, angle = (
+                disc.radius_px * math.sqrt(rng.uniform(0, 0.9)),
+                rng.uniform(0, 2 * math.pi),
+            )
             row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
-            image = camera_faults.speck(image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05)))
+            image = camera_faults.speck(
+                image, row, col, disc.radius_px * float(rng.uniform(0.008, 0.05))
+            )
     if rng.random() < 0.3:
         image = camera_faults.shift(image, int(rng.integers(-1, 2)), int(rng.integers(-1, 2)))
     if rng.random() < 0.2:
@@ -194,11 +230,15 @@ def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
     if rng.random() < 0.15:
         rho, angle = disc.radius_px * rng.uniform(0, 0.9), rng.uniform(0, 2 * math.pi)
         row, col = disc.row_c + rho * math.sin(angle), disc.col_c + rho * math.cos(angle)
-        image = camera_faults.glare(image, row, col, disc.radius_px * float(rng.uniform(0.01, 0.04)))
+        image = camera_faults.glare(
+            image, row, col, disc.radius_px * float(rng.uniform(0.01, 0.04))
+        )
     return image
 
 
-def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc) -> tuple[F32, Bool]:
+def true_maps(
+    skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc
+) -> tuple[F32, Bool]:
     """Compute h in disc radii (mm over r sinθ) and contact in the middle of each cell of the calibrated disc `seen`."""
     grid = disc_map.map_grid(seen)
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
@@ -211,7 +251,9 @@ def true_maps(skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Di
         h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
         height[inside] = h
         if presses:
-            contact[inside] = np.abs(distance_mm(presses, skin.radius_mm, points)) <= CONTACT_TOLERANCE_MM
+            contact[inside] = (
+                np.abs(distance_mm(presses, skin.radius_mm, points)) <= CONTACT_TOLERANCE_MM
+            )
     unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
     return (height / unit_mm).reshape(N, N), contact.reshape(N, N)
 

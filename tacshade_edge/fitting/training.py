@@ -24,7 +24,9 @@ Operation = Callable[[dict[str, Any], list[Tensor]], Tensor]
 
 def _convolution(attributes: dict[str, Any], given: list[Tensor]) -> Tensor:
     x, weight = given[:2]
-    return functional.conv2d(x, weight, given[2] if len(given) > 2 else None, padding=attributes["pads"][0])
+    return functional.conv2d(
+        x, weight, given[2] if len(given) > 2 else None, padding=attributes["pads"][0]
+    )
 
 
 def _pool(attributes: dict[str, Any], given: list[Tensor]) -> Tensor:
@@ -39,7 +41,9 @@ OPERATIONS: dict[str, Operation] = {
     "MaxPool": _pool,
     # As the networks use it: twice as many cells along each side, each a copy of the nearest.
     "Resize": lambda _, given: functional.interpolate(given[0], scale_factor=2.0, mode="nearest"),
-    "DepthToSpace": lambda attributes, given: functional.pixel_shuffle(given[0], attributes["blocksize"]),
+    "DepthToSpace": lambda attributes, given: functional.pixel_shuffle(
+        given[0], attributes["blocksize"]
+    ),
 }
 """The operations in the graphs that tools/training/export.py writes."""
 _ONCE = "once:"
@@ -62,7 +66,9 @@ class TorchNetwork:
                 size = (weight.end - weight.begin) // 4
                 # Channels last: 1.4 to 2.4 times as fast on a processor.
                 made = values[at : at + size].reshape(weight.shape).clone()
-                made = made.contiguous(memory_format=torch.channels_last) if made.dim() == 4 else made
+                made = (
+                    made.contiguous(memory_format=torch.channels_last) if made.dim() == 4 else made
+                )
                 self._weights[prefix + weight.name] = made.requires_grad_()
                 at += size
 
@@ -78,7 +84,10 @@ class TorchNetwork:
         once = [weight for name, weight in self._weights.items() if name.startswith(_ONCE)]
         weight = next(each for each in once if each.dim() == 4)
         bias = next(each for each in once if each.dim() == 1)
-        values = self._weights | {"white": white, "sensor": functional.conv2d(known, weight, bias, padding=1)}
+        values = self._weights | {
+            "white": white,
+            "sensor": functional.conv2d(known, weight, bias, padding=1),
+        }
         for node in self._nodes:
             given = [values[name] for name in node.inputs if name in values]
             values[node.output] = OPERATIONS[node.kind](node.attributes, given)
@@ -95,7 +104,9 @@ class TorchNetwork:
 
     def flat(self) -> F32:
         """All weights end to end, those of every frame first, in the order of `onnx_weights.values_of`."""
-        flat: F32 = torch.cat([weight.detach().flatten() for weight in self._weights.values()]).numpy()
+        flat: F32 = torch.cat(
+            [weight.detach().flatten() for weight in self._weights.values()]
+        ).numpy()
         return flat
 
 
@@ -104,7 +115,12 @@ MOVED_CELLS = (0.6, 14.0)
 
 
 def spoil(
-    maps: Tensor, references: Tensor, height: Tensor, contact: Tensor, part: float, rng: np.random.Generator
+    maps: Tensor,
+    references: Tensor,
+    height: Tensor,
+    contact: Tensor,
+    part: float,
+    rng: np.random.Generator,
 ) -> Tensor:
     """Spoil part of a batch in place; cells that no longer show the skin lose their depth and contact.
 
@@ -120,7 +136,9 @@ def spoil(
     if not len(frames):
         return untrusted
     drawn = [_draw(int(k), len(maps), cells, rng) for k in frames]
-    source, rows, cols, torn = (torch.from_numpy(np.stack(each)).to(device) for each in zip(*drawn, strict=True))
+    source, rows, cols, torn = (
+        torch.from_numpy(np.stack(each)).to(device) for each in zip(*drawn, strict=True)
+    )
     index, torn = torch.from_numpy(frames).to(device), torn[:, :, None]
     spoiled = _moved(torch.cat((maps, references))[source], rows, cols)
     maps[index] = torch.where(torn, spoiled, maps[index]) * inside
@@ -135,7 +153,10 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
 
     The last array holds which of the frame's rows show it.
     """
-    row, size = max(int(rng.integers(-cells // 4, int(0.85 * cells))), 0), int(rng.integers(3, cells // 2))
+    row, size = (
+        max(int(rng.integers(-cells // 4, int(0.85 * cells))), 0),
+        int(rng.integers(3, cells // 2)),
+    )
     source, kind = k, int(rng.integers(5))
     end = cells if rng.random() < 0.7 else min(cells, row + int(rng.integers(6, cells)))
     rows, cols = np.arange(cells, dtype=np.float32), np.arange(cells, dtype=np.float32)
@@ -151,9 +172,17 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
         far, angle = math.exp(rng.uniform(*np.log(MOVED_CELLS))), rng.uniform(0, 2 * math.pi)
         source = k if rng.random() < 0.5 else frames + k
         row, end = 0, cells
-        rows, cols = rows - np.float32(far * math.cos(angle)), cols - np.float32(far * math.sin(angle))
+        rows, cols = (
+            rows - np.float32(far * math.cos(angle)),
+            cols - np.float32(far * math.sin(angle)),
+        )
     number = np.arange(cells)
-    return np.array(source), rows.clip(0, cells - 1), cols.clip(0, cells - 1), (number >= row) & (number < end)
+    return (
+        np.array(source),
+        rows.clip(0, cells - 1),
+        cols.clip(0, cells - 1),
+        (number >= row) & (number < end),
+    )
 
 
 def _moved(pictures: Tensor, rows: Tensor, cols: Tensor) -> Tensor:
@@ -162,7 +191,13 @@ def _moved(pictures: Tensor, rows: Tensor, cols: Tensor) -> Tensor:
         low = number.floor()
         part = (number - low).unsqueeze(3 - dim)
         first, second = (
-            pictures.gather(dim, each.long().clamp(max=pictures.shape[dim] - 1).unsqueeze(3 - dim).expand_as(pictures))
+            pictures.gather(
+                dim,
+                each.long()
+                .clamp(max=pictures.shape[dim] - 1)
+                .unsqueeze(3 - dim)
+                .expand_as(pictures),
+            )
             for each in (low, low + 1)
         )
         pictures = first + (second - first) * part
@@ -181,7 +216,12 @@ def split_output(y: Tensor, fold: int) -> tuple[Tensor, Tensor]:
 
 
 def depth_loss(
-    outputs: tuple[Tensor, Tensor], fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor
+    outputs: tuple[Tensor, Tensor],
+    fold: int,
+    height: Tensor,
+    contact: Tensor,
+    shear: Tensor,
+    untrusted: Tensor,
 ) -> Tensor:
     """Sum the losses of height and its slope (weighted higher in contact), of contact, and of untrusted cells."""
     y, odds = outputs
@@ -200,7 +240,9 @@ def depth_loss(
     return level + 1.5 * slope + edge + 0.15 * dice.mean() + UNTRUSTED_WEIGHT * strange
 
 
-def shear_loss(moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor) -> Tensor:
+def shear_loss(
+    moved: Tensor, fold: int, height: Tensor, contact: Tensor, shear: Tensor, untrusted: Tensor
+) -> Tensor:
     """Compute the loss of shear where the skin is visible, weighted higher in contact."""
     touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
     seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
@@ -253,9 +295,13 @@ class Maps:
             return maps.flip(-1) if turn >= 4 else maps
 
         white, at_rest = (
-            turned(each).float() / 255 for each in (self.white[index], self.reference[self.sensor[index]])
+            turned(each).float() / 255
+            for each in (self.white[index], self.reference[self.sensor[index]])
         )
-        height, contact = turned(self.height[index]).float() * HEIGHT_SCALE, turned(self.contact[index]).float()
+        height, contact = (
+            turned(self.height[index]).float() * HEIGHT_SCALE,
+            turned(self.contact[index]).float(),
+        )
         shear = turned(self.shear[index]) * HEIGHT_SCALE
         for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
             shear = torch.stack((shear[:, 1], -shear[:, 0]), 1)
@@ -296,14 +342,21 @@ def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Map
         return (means if values.is_floating_point() else means.round()).to(values.dtype)
 
     first = np.cumsum([0] + [len(part.reference[way]) for part in parts])
-    geometry = disc_map.geometry_maps(calibration.geometry, calibration.pitch_px, cells)[:, ::fold, ::fold]
-    shear = [functional.avg_pool2d(torch.from_numpy(p.shear).float().permute(0, 3, 1, 2), 2) for p in parts]
+    geometry = disc_map.geometry_maps(calibration.geometry, calibration.pitch_px, cells)[
+        :, ::fold, ::fold
+    ]
+    shear = [
+        functional.avg_pool2d(torch.from_numpy(p.shear).float().permute(0, 3, 1, 2), 2)
+        for p in parts
+    ]
     return Maps(
         fold,
         torch.from_numpy(geometry).contiguous(),
         torch.cat([pooled(part.reference[way]) for part in parts]),
         torch.cat([pooled(part.white[way]) for part in parts]),
-        torch.cat([torch.from_numpy(part.sensor) + int(k) for part, k in zip(parts, first, strict=False)]),
+        torch.cat(
+            [torch.from_numpy(part.sensor) + int(k) for part, k in zip(parts, first, strict=False)]
+        ),
         torch.cat([pooled(part.height) for part in parts]),
         torch.cat([pooled(part.contact) for part in parts]),
         torch.cat(shear),
@@ -313,16 +366,24 @@ def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Map
 def halved(device: str) -> torch.autocast:
     """Compute in bfloat16 where the device has it; a processor without it would take ten times as long."""
     kind = torch.device(device).type
-    capable: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()  # older releases do not have it
+    capable: dict[str, bool] = getattr(
+        torch.cpu, "get_capabilities", dict
+    )()  # older releases do not have it
     return torch.autocast(
-        kind, torch.bfloat16, enabled=kind != "cpu" or any(map(capable.get, ("avx512_bf16", "amx_bf16")))
+        kind,
+        torch.bfloat16,
+        enabled=kind != "cpu" or any(map(capable.get, ("avx512_bf16", "amx_bf16"))),
     )
 
 
-def train(network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, report: Callable[[int], None]) -> None:
+def train(
+    network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, report: Callable[[int], None]
+) -> None:
     """Train a network; `report` receives the number of steps done. `skin_radii` as in `Maps.chances`."""
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=WARM_PART)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, RATE, total_steps=steps, pct_start=WARM_PART
+    )
     rng, draw = np.random.default_rng(0), torch.Generator().manual_seed(0)
     chances = maps.chances(skin_radii)
     for step in range(1, steps + 1):
@@ -350,7 +411,9 @@ def error(network: TorchNetwork, maps: Maps) -> float:
         white, at_rest, height, contact, _ = maps.batch(index, 0)
         with torch.no_grad():
             made, _ = network(*maps.inputs(white, at_rest))
-        touching = contact.flatten(1).sum(1) >= LEAST_CELLS * (len(contact[0]) / disc_map.CELLS) ** 2
+        touching = (
+            contact.flatten(1).sum(1) >= LEAST_CELLS * (len(contact[0]) / disc_map.CELLS) ** 2
+        )
         off = (split_output(made, maps.fold)[0] - height).abs() * contact
         errors.append((off.flatten(1).sum(1) / contact.flatten(1).sum(1).clamp(min=1))[touching])
     return float(torch.cat(errors).mean()) / HEIGHT_SCALE

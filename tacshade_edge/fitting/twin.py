@@ -60,13 +60,17 @@ class Mechanics:
     seen: bool = False
 
 
-def likely_mechanics(calibration: Calibration, found: Found, presses: Sequence[KnownPress]) -> Mechanics:
+def likely_mechanics(
+    calibration: Calibration, found: Found, presses: Sequence[KnownPress]
+) -> Mechanics:
     """The mechanics with which simulated balls look like the pressed ones; the full ranges without enough of them."""
     balls = [p for p in presses if p.indenter is None and p.x_mm is not None and p.y_mm is not None]
     if len(balls) < LEAST_PRESSES:
         return Mechanics()
     balls.sort(key=lambda press: press.depth_mm)
-    balls = [balls[int(k)] for k in np.linspace(0, len(balls) - 1, min(len(balls), MOST_PRESSES)).round()]
+    balls = [
+        balls[int(k)] for k in np.linspace(0, len(balls) - 1, min(len(balls), MOST_PRESSES)).round()
+    ]
     white = WhiteMap(calibration)
     at_rest = white.reference()
     seen = [_soft(white.of(greyscale.to_grey(press.image)) - at_rest) for press in balls]
@@ -74,19 +78,25 @@ def likely_mechanics(calibration: Calibration, found: Found, presses: Sequence[K
     errors = {}
     for decay_mm, friction in product(DECAYS_MM, FRICTIONS):
         skin_model = replace(model, skin_decay_mm=decay_mm, friction=friction)
-        renderer = TwinRenderer(skin_model, found.kind, print_of(skin_model, found.kind, layout), found.light)
+        renderer = TwinRenderer(
+            skin_model, found.kind, print_of(skin_model, found.kind, layout), found.light
+        )
 
         def drawn(skin, renderer=renderer) -> F32:  # type: ignore[no-untyped-def]
             return white.of(np.clip(renderer.draw(skin) + 0.5, 0, 255).astype(np.uint8))
 
         free, off = drawn(undeformed(model.skin_radius_mm)), 0.0
         for press, change in zip(balls, seen, strict=True):
-            pressed = Press(ball(press.radius_mm), press.x_mm or 0.0, press.y_mm or 0.0, press.depth_mm)
+            pressed = Press(
+                ball(press.radius_mm), press.x_mm or 0.0, press.y_mm or 0.0, press.depth_mm
+            )
             made = _soft(drawn(uneven_skin(skin_model, (pressed,), Unevenness())) - free)
             off += float(np.square((made - change)[white.inside]).mean())
         errors[decay_mm, friction] = off
     best = min(errors.values())
-    decays, frictions = zip(*(each for each, off in errors.items() if off <= LIKELY * best), strict=True)
+    decays, frictions = zip(
+        *(each for each, off in errors.items() if off <= LIKELY * best), strict=True
+    )
     return Mechanics(
         (min(decays) / STEP, max(decays) * STEP),
         (min(frictions) - FRICTION_STEP, min(max(frictions) + FRICTION_STEP, 1.0)),
@@ -129,7 +139,9 @@ class Frames:
 class View:
     """A sensor of the cloud, which draws frames and preprocesses them as its own calibration would."""
 
-    def __init__(self, calibration: Calibration, found: Found, values: F64, rng: np.random.Generator) -> None:
+    def __init__(
+        self, calibration: Calibration, found: Found, values: F64, rng: np.random.Generator
+    ) -> None:
         model, layout = found.at(values)
         disc = calibration.geometry.disc
         self.model = replace(
@@ -145,13 +157,18 @@ class View:
             size_tolerance=float(rng.uniform(0.01, 0.05)),
             print_seed=int(rng.integers(1 << 30)),
         )
-        self.renderer = TwinRenderer(self.model, found.kind, print_of(self.model, found.kind, layout), found.light)
+        self.renderer = TwinRenderer(
+            self.model, found.kind, print_of(self.model, found.kind, layout), found.light
+        )
         clean = self.renderer.draw(undeformed(self.model.skin_radius_mm))
         greys = [self.renderer.level(clean, int(rng.integers(1 << 30))) for _ in range(REFERENCES)]
         own = with_reference(calibration, greys)
         made = {way: Preprocessor(own, PROFILES[way]) for way in (WHOLE, HALVED)}
         self._ways = {
-            way: (each, CellMeans(each.integrator, disc_map.map_grid(each.calibration.geometry.disc)))
+            way: (
+                each,
+                CellMeans(each.integrator, disc_map.map_grid(each.calibration.geometry.disc)),
+            )
             for way, each in made.items()
         }
         self.reference = {
@@ -190,7 +207,9 @@ def drawn_values(found: Found, rng: np.random.Generator) -> F64:
     return values
 
 
-def drawn_dome(base: SensorModel, mechanics: Mechanics, rng: np.random.Generator) -> tuple[SensorModel, Unevenness]:
+def drawn_dome(
+    base: SensorModel, mechanics: Mechanics, rng: np.random.Generator
+) -> tuple[SensorModel, Unevenness]:
     """Draw the mechanics of a skin."""
 
     def draw(low: float, high: float) -> float:
@@ -212,7 +231,9 @@ def drawn_dome(base: SensorModel, mechanics: Mechanics, rng: np.random.Generator
     if kind < TWO_SCALES_PART + UNEVEN_PART:
         side = len(undeformed(base.skin_radius_mm).height_mm)
         coarse = rng.normal(0, 0.3, (7, 7)).astype(np.float32)
-        stiffness = np.exp(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)).astype(np.float32)
+        stiffness = np.exp(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)).astype(
+            np.float32
+        )
         skirt = (draw(0, 0.4) if rng.random() < 0.5 else 0.0, draw(1, 6))
         return dome, Unevenness(stiffness, draw(-0.3, 1.5) if rng.random() < 0.5 else 0.0, skirt)
     return dome, Unevenness()
@@ -224,7 +245,12 @@ def drawn_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, 
 
 
 def simulate(
-    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int, skins: int, views: int
+    calibration: Calibration,
+    prints: Sequence[Found],
+    mechanics: Mechanics,
+    seed: int,
+    skins: int,
+    views: int,
 ) -> Frames:
     """Simulate skins, each with its own mechanics, that several prints of the cloud show."""
     rng = np.random.default_rng((seed, 31))
@@ -282,7 +308,11 @@ class Steps:
     def save_frames(self, name: str, frames: Frames) -> None:
         """Keep a batch's frames. Raises DeviceError."""
         plain = {field.name: getattr(frames, field.name) for field in fields(Frames)}
-        ways = {f"{what}.{way}": each for what in ("reference", "white") for way, each in plain.pop(what).items()}
+        ways = {
+            f"{what}.{way}": each
+            for what in ("reference", "white")
+            for way, each in plain.pop(what).items()
+        }
         self._save(name, plain | ways)
 
     def frames(self, name: str) -> Frames:
@@ -324,7 +354,9 @@ class Steps:
     def _load(self, name: str) -> dict[str, Any]:
         path = self._path(name)
         try:
-            return {key: each.copy() for key, each in read_arrays(path, BYTES_MAX).items()}  # PyTorch wants to own it
+            return {
+                key: each.copy() for key, each in read_arrays(path, BYTES_MAX).items()
+            }  # PyTorch wants to own it
         except DecodeError:
             path.unlink()
             raise

@@ -133,7 +133,12 @@ def touch_networks(name: str, fitted: FittedNetwork | None = None) -> str:
     """SHA-256 of everything that computes a touch model's features (`TouchModel.networks`)."""
     digest = hashlib.sha256()
     for onnx in (WEIGHTS / f"{name}.onnx", WEIGHTS / f"{SHEAR}.onnx"):
-        for path in (onnx, onnx.with_suffix(".sensor.onnx"), onnx.with_suffix(".integer.onnx"), _touch_file(onnx)):
+        for path in (
+            onnx,
+            onnx.with_suffix(".sensor.onnx"),
+            onnx.with_suffix(".integer.onnx"),
+            _touch_file(onnx),
+        ):
             digest.update(path.read_bytes())
     if fitted is not None:
         digest.update(fitted.weights.tobytes())
@@ -164,13 +169,17 @@ def _session(model: bytes) -> InferenceSession:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.enable_cpu_mem_arena = False  # it keeps 2 MB and saves no time
     options.log_severity_level = 3  # it warns about unknown processors
-    session: InferenceSession = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    session: InferenceSession = onnxruntime.InferenceSession(
+        model, options, providers=["CPUExecutionProvider"]
+    )
     return session
 
 
 def load_networks() -> dict[str, Network]:
     """The networks of all profiles that a calibration is refitted for, by profile."""
-    return {name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network}
+    return {
+        name: load_network(profile.network) for name, profile in PROFILES.items() if profile.network
+    }
 
 
 _for_all: dict[str, Network] = {}
@@ -194,7 +203,9 @@ def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstruc
     if touch is None or touch.networks == touch_networks(name, fitted):
         return Reconstructor(calibration, profile, network, touch=touch)
     text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
-    return Reconstructor(calibration, profile, network, touch=Reason(ReasonCode.TOUCH_NETWORKS, text))
+    return Reconstructor(
+        calibration, profile, network, touch=Reason(ReasonCode.TOUCH_NETWORKS, text)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,12 +231,16 @@ class TouchResult:
     too_few: Mapping[str, tuple[int, int]]
 
 
-def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]) -> TouchResult:
+def learn_touch(
+    calibration: Calibration, profile: Profile, frames: Iterable[LabelledFrame]
+) -> TouchResult:
     """Learn a profile's touch model; the profile must have a network."""
     assert profile.network is not None
     fitted = calibration.fitted.get(profile.name)
     taken: list[F32] = []
-    reconstructor = Reconstructor(calibration, profile, load_network(profile.network, fitted), touch=taken)
+    reconstructor = Reconstructor(
+        calibration, profile, load_network(profile.network, fitted), touch=taken
+    )
     names: list[str] = []
     left_out, known, groups, imprints, parts = [], [], [], [], []
     for frame in frames:
@@ -238,23 +253,35 @@ def learn_touch(calibration: Calibration, profile: Profile, frames: Iterable[Lab
         parts.append(reconstructor.changed_part)
         known.append(frame.known)
         groups.append(frame.group or f"\0{len(names)}")
-    labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(-1, len(QUANTITIES))
+    labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(
+        -1, len(QUANTITIES)
+    )
     counts = np.isfinite(labels).sum(axis=0)
     numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
     presses = np.array([len(np.unique(numbers[np.isfinite(column)])) for column in labels.T])
     varied = np.array([len(np.unique(column[np.isfinite(column)])) > 1 for column in labels.T])
     enough = (counts >= LEAST_ROWS) & (presses >= LEAST_GROUPS) & varied
     used = np.flatnonzero(enough)
-    too_few = {QUANTITIES[q]: (int(counts[q]), int(presses[q])) for q in np.flatnonzero((counts > 0) & ~enough)}
+    too_few = {
+        QUANTITIES[q]: (int(counts[q]), int(presses[q]))
+        for q in np.flatnonzero((counts > 0) & ~enough)
+    }
     learnt = LearntTouch(None, ())
     if len(used):
         chosen = [QUANTITIES[q] for q in used]
         table = np.stack(taken), np.stack(imprints), np.array(parts)
-        learnt = learn(*table, chosen, labels[:, used], numbers, touch_networks(profile.network, fitted))
+        learnt = learn(
+            *table, chosen, labels[:, used], numbers, touch_networks(profile.network, fitted)
+        )
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 
-UNITS = {"mm": "mm", "deg": "°", "n": "N", "nmm": "N mm"}  # symbol of the unit at the end of a quantity's name
+UNITS = {
+    "mm": "mm",
+    "deg": "°",
+    "n": "N",
+    "nmm": "N mm",
+}  # symbol of the unit at the end of a quantity's name
 SHOWN = 5  # greatest number of rows that a line names
 
 
@@ -263,13 +290,19 @@ def report_lines(result: TouchResult) -> Sequence[str]:
     lines = [f"touch model of {result.profile}: {len(result.names)} frames"]
     for each in result.learnt.reports:
         if not each.seen:
-            lines.append(f"  {each.name}: not visible in these frames (R² {each.r2:.2f}): no answer")
+            lines.append(
+                f"  {each.name}: not visible in these frames (R² {each.r2:.2f}): no answer"
+            )
             continue
         unit = UNITS[each.name.rpartition("_")[2]]
         hold = f"90 % intervals hold {100 * each.coverage_90:.0f} %"
         lines.append(f"  {each.name}: off by {each.error:.3g} {unit} (R² {each.r2:.2f}; {hold})")
         if each.contradicting:
             rows = ", ".join(result.names[row] for row in each.contradicting[:SHOWN])
-            more = f" and {len(each.contradicting) - SHOWN} more" if len(each.contradicting) > SHOWN else ""
+            more = (
+                f" and {len(each.contradicting) - SHOWN} more"
+                if len(each.contradicting) > SHOWN
+                else ""
+            )
             lines.append(f"    contradict the others: {rows}{more}")
     return lines

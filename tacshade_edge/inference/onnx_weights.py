@@ -108,7 +108,9 @@ def layout_of(*files: bytes) -> str:
 
 def values_of(data: bytes) -> F32:
     """All weights end to end, float32 (P,)."""
-    return np.concatenate([np.frombuffer(data[weight.begin : weight.end], "<f4") for weight in weights_of(data)])
+    return np.concatenate(
+        [np.frombuffer(data[weight.begin : weight.end], "<f4") for weight in weights_of(data)]
+    )
 
 
 def with_values(data: bytes, values: F32) -> bytes:
@@ -125,7 +127,9 @@ def with_values(data: bytes, values: F32) -> bytes:
 
 def with_weights_of(graph: bytes, data: bytes) -> bytes:
     """A network without weights, completed with those of another file."""
-    tensors = (message(_INITIALIZER, data[one.begin : one.end]) for one in _of_graph(data, _INITIALIZER))
+    tensors = (
+        message(_INITIALIZER, data[one.begin : one.end]) for one in _of_graph(data, _INITIALIZER)
+    )
     return joined(graph, b"".join(tensors))
 
 
@@ -156,7 +160,11 @@ def _one(found: dict[int, list[Field]], number: int) -> Field:
 
 def _weight(data: bytes, tensor: Field) -> Weight:
     parts = fields(data, tensor.begin, tensor.end)
-    name, raw, shape = _text(data, _one(parts, _NAME)), _one(parts, _RAW_DATA), tuple(d.value for d in parts[_DIMS])
+    name, raw, shape = (
+        _text(data, _one(parts, _NAME)),
+        _one(parts, _RAW_DATA),
+        tuple(d.value for d in parts[_DIMS]),
+    )
     if _one(parts, _DATA_TYPE).value != _FLOAT or 4 * math.prod(shape) != raw.end - raw.begin:
         raise ValueError(f"weight {name}: expected raw float32")
     return Weight(name, shape, raw.begin, raw.end)
@@ -168,7 +176,9 @@ def _node(data: bytes, node: Field) -> Node:
     for attribute in parts[_ATTRIBUTE]:
         about = fields(data, attribute.begin, attribute.end)
         integers, one = tuple(each.value for each in about[_INTEGERS]), about[_INTEGER]
-        attributes[_text(data, _one(about, _ATTRIBUTE_NAME))] = integers or (one[0].value if one else 0)
+        attributes[_text(data, _one(about, _ATTRIBUTE_NAME))] = integers or (
+            one[0].value if one else 0
+        )
     inputs = tuple(_text(data, each) for each in parts[_INPUT])
     return Node(_text(data, _one(parts, _KIND)), inputs, _text(data, parts[_OUTPUT][0]), attributes)
 

@@ -23,7 +23,11 @@ def path_of(name: str, value: object) -> Path:
         with contextlib.suppress(UnicodeEncodeError):
             encoded = os.fsencode(value)
         names = encoded.split(b"/")
-        if 0 < len(encoded) <= _PATH_BYTES_MAX and b"\0" not in encoded and max(map(len, names)) <= _NAME_BYTES_MAX:
+        if (
+            0 < len(encoded) <= _PATH_BYTES_MAX
+            and b"\0" not in encoded
+            and max(map(len, names)) <= _NAME_BYTES_MAX
+        ):
             return Path(os.fsdecode(encoded))
     raise wrong(name, value, "a path")
 

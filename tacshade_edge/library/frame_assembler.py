@@ -26,7 +26,15 @@ from tacshade_edge.protocol.topics import (
 from tacshade_edge.protocol.wire import HeightMessage, ShearMessage, SigmaMessage
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import F32, Geometry, HeightMap, ObjectCloud, Reconstruction, Touch, TouchedObject
+from tacshade_edge.types import (
+    F32,
+    Geometry,
+    HeightMap,
+    ObjectCloud,
+    Reconstruction,
+    Touch,
+    TouchedObject,
+)
 
 _STREAMS: Final = ("height", "cloud", "shear", "sigma")
 TOPICS: Final = (*_STREAMS, "touch", "contact", "info", "state")
@@ -51,7 +59,9 @@ class FrameAssembler:
 
     def __init__(self) -> None:
         self.info, self.state, self.passed_over = Info(geometry=None, profile=""), "", 0
-        self._height = HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0)
+        self._height = HeightMap(
+            np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0
+        )
         self._tracker = ContactTracker()
         self.forget()
 
@@ -79,7 +89,9 @@ class FrameAssembler:
         elif topic == "contact":
             self._add(decode_contact(payload))
         else:
-            raise DecodeError(f"found the topic {quoted(topic)}, expected one of {', '.join(TOPICS)}")
+            raise DecodeError(
+                f"found the topic {quoted(topic)}, expected one of {', '.join(TOPICS)}"
+            )
 
     def _add(self, contact: Contact) -> None:
         """Complete a frame: ``contact`` is the last message that a daemon sends for it."""
@@ -117,7 +129,9 @@ class FrameAssembler:
             return None
         for other in (shear, sigma):
             if other is not None and (height is None or _grid(other) != _grid(height)):
-                raise DecodeError("shear or sigma: found a grid other than the height map's, expected the same grid")
+                raise DecodeError(
+                    "shear or sigma: found a grid other than the height map's, expected the same grid"
+                )
         shear_mm = None if shear is None else shear.shear_mm
         points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
         if cloud is not None:
@@ -167,7 +181,11 @@ def _touched(
 
 
 def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
-    values = next(getattr(message, name) for name in ("height_mm", "shear_mm", "sigma_mm") if hasattr(message, name))
+    values = next(
+        getattr(message, name)
+        for name in ("height_mm", "shear_mm", "sigma_mm")
+        if hasattr(message, name)
+    )
     rows, cols = values.shape[:2]
     return Grid(rows, cols, message.row0, message.col0, message.step_px)
 
@@ -180,7 +198,12 @@ def _untouched(last: HeightMap) -> HeightMap:
 
 def _touch_of(contact: Contact, numbers: TouchNumbers | None) -> Touch | None:
     """The touch that belongs to a contact's frame; None if there is none."""
-    if numbers is None or numbers.seq != contact.seq or numbers.touch is None or numbers.touch_sigma is None:
+    if (
+        numbers is None
+        or numbers.seq != contact.seq
+        or numbers.touch is None
+        or numbers.touch_sigma is None
+    ):
         return None
     return Touch(numbers.touch, numbers.touch_sigma, _reason(numbers.reason_code, numbers.reason))
 

@@ -98,7 +98,10 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     path = path_of("recording", recording)
     _check_sensor(sensor)
     frames = Recording(path)
-    for line in (frames.damage, f"{path}: the recording was cut off; reading what is whole" if frames.cut_off else ""):
+    for line in (
+        frames.damage,
+        f"{path}: the recording was cut off; reading what is whole" if frames.cut_off else "",
+    ):
         if line:
             _log.warning("%s", line)
     if sensor is None:
@@ -155,7 +158,11 @@ class _Live(Results):
                 self._skipped += 1
                 continue
             waiting += 1
-            if frame is None or waiting > _WAITING_MAX or time.monotonic_ns() - frame.t_ns <= self._stale_ns:
+            if (
+                frame is None
+                or waiting > _WAITING_MAX
+                or time.monotonic_ns() - frame.t_ns <= self._stale_ns
+            ):
                 return frame
             self._skipped += 1
 
@@ -183,7 +190,9 @@ class _Recorded(Results):
         del self._recording
 
 
-def read_hand(recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT) -> Iterator[HandObjects]:
+def read_hand(
+    recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT
+) -> Iterator[HandObjects]:
     """Read recordings of a hand's fingers and yield the messages that the hand would have published.
 
     See docs/how-to/hand.md. The log reports damaged and cut-off recordings.

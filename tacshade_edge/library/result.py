@@ -15,7 +15,16 @@ from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.storage.pictures import height_png
-from tacshade_edge.types import F32, U16, Bool, Geometry, Pose, Reconstruction, TouchedObject, freeze
+from tacshade_edge.types import (
+    F32,
+    U16,
+    Bool,
+    Geometry,
+    Pose,
+    Reconstruction,
+    TouchedObject,
+    freeze,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +141,9 @@ class Result:
         return skin_points(self.height_mm, disc_rays(grid, self.geometry), self.geometry)
 
 
-def result_of(made: Reconstruction, geometry: Geometry, pose: Pose | None, untrusted: Bool | None) -> Result:
+def result_of(
+    made: Reconstruction, geometry: Geometry, pose: Pose | None, untrusted: Bool | None
+) -> Result:
     """Convert a reconstruction to the library's result."""
     height, cloud, touch = made.height, made.cloud, made.touch
     touch_reason = None if touch is None else touch.reason
@@ -211,6 +222,9 @@ class Results(ABC, Iterator[Result]):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()

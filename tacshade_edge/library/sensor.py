@@ -58,7 +58,9 @@ class Sensor:
         if not isinstance(profile, str) or profile not in PROFILES:
             raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
         self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
-        self._in_use = threading.Lock()  # never waited for: the reconstructor's scratch buffers hold one frame
+        self._in_use = (
+            threading.Lock()
+        )  # never waited for: the reconstructor's scratch buffers hold one frame
         self.profile = profile
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
@@ -105,5 +107,9 @@ class Sensor:
         finally:
             self._in_use.release()
         assert made is not None
-        untrusted = np.zeros(made.height.contact.shape, np.bool_) if made.untrusted is None else made.untrusted
+        untrusted = (
+            np.zeros(made.height.contact.shape, np.bool_)
+            if made.untrusted is None
+            else made.untrusted
+        )
         return result_of(made, self.geometry, frame.pose, untrusted)

@@ -68,7 +68,9 @@ def listen(
         connection was lost; the next call connects again.
     """
     host, port = host_and_port(text_of("broker", broker, BROKER))
-    if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(sensor_id) & set("/+#"):
+    if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(
+        sensor_id
+    ) & set("/+#"):
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
         raise ConfigError("password: found a password without a username, expected both")
@@ -101,7 +103,9 @@ class _Heard(Results):
                 if len(self._there) < _THERE_MAX:
                     self._there.add(found[1])
             else:
-                raise DecodeError(f"found the topic {quoted(topic)}, expected one below {self._base}/")
+                raise DecodeError(
+                    f"found the topic {quoted(topic)}, expected one below {self._base}/"
+                )
 
         client.receive(receive)
         self._connect()
@@ -122,7 +126,11 @@ class _Heard(Results):
             if not self._step(0.0 if self._frames.whole else _POLL_S):
                 raise self._lost(self._failure or "connection lost", ReasonCode.LOST)
             # The newest frame wins: first read everything that has arrived.
-            if self._frames.whole and not self._waits() and (result := self._frames.take()) is not None:
+            if (
+                self._frames.whole
+                and not self._waits()
+                and (result := self._frames.take()) is not None
+            ):
                 return result
         raise self._silence()
 
@@ -130,7 +138,12 @@ class _Heard(Results):
         self._failure = ""
         self._frames.forget()
         try:
-            connect_now(self._client, *self._address, incoming_bytes_max=_BYTES_MAX, keepalive_s=_KEEPALIVE_S)
+            connect_now(
+                self._client,
+                *self._address,
+                incoming_bytes_max=_BYTES_MAX,
+                keepalive_s=_KEEPALIVE_S,
+            )
         except OSError as error:
             raise self._lost(f"{error.strerror or error}", ReasonCode.UNREACHABLE) from None
         end_s = time.monotonic() + _SILENT_S
@@ -162,12 +175,16 @@ class _Heard(Results):
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
         self._release()
         return DeviceError(
-            f"{self._where}: {found}; expected a broker that serves topics under {self._base}/", code=code
+            f"{self._where}: {found}; expected a broker that serves topics under {self._base}/",
+            code=code,
         )
 
     def _silence(self) -> DeviceError:
         """The error for a long silence, with its cause as far as it is known."""
-        state, reason = shown(self._frames.state), escaped(self._frames.info.reason, _REASON_CHARS_MAX)
+        state, reason = (
+            shown(self._frames.state),
+            escaped(self._frames.info.reason, _REASON_CHARS_MAX),
+        )
         known = f"the sensor's state is {state}"
         if not self._frames.state:
             self._client.subscribe("tacshade/+/state", 0)
@@ -181,13 +198,17 @@ class _Heard(Results):
 
     # -- called by paho, in the caller's thread ----------------------------------------------------------------------
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         if code.is_failure:
             self._failure = f"rejects the connection: {code}"
         else:
             client.subscribe([(f"{self._base}/{topic}", 0) for topic in TOPICS])
 
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+    def _on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
+    ) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
             self._failure = f"rejects a subscription: {refused}"
         else:

@@ -50,7 +50,10 @@ def decode_json(what: str, payload: bytes, kind: type[T]) -> T:
         value = msgspec.json.decode(payload)
         _check(value)
         return msgspec.convert(value, kind)
-    except (ValueError, RecursionError) as error:  # msgspec's errors are ValueErrors, as is UnicodeDecodeError
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # msgspec's errors are ValueErrors, as is UnicodeDecodeError
         raise DecodeError(
             f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in docs/reference/mqtt.md"
         ) from error
@@ -70,7 +73,9 @@ def _check(value: object, level: int = 0) -> int:
         case list():
             inside = value
         case str() if len(value) > CHARS_MAX:
-            raise ValueError(f"found a text of {len(value)} characters, expected at most {CHARS_MAX}")
+            raise ValueError(
+                f"found a text of {len(value)} characters, expected at most {CHARS_MAX}"
+            )
         case int() if abs(value) > _INTEGER_MAX:
             raise ValueError("found an integer of more than 64 bits")
     if inside and level == DEPTH_MAX:

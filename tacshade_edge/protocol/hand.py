@@ -66,8 +66,14 @@ def encode_hand(hand: HandObjects) -> bytes:
 def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> HandObject:
     """Transform an object to the hand's frame; `points_mm` are already in it."""
     turn = hand_T_sensor.rotation
-    extent_mm = np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
-    slide = None if touched.shear_mm is None else rounded_triple(turn[:, :2] @ np.array(touched.shear_mm))
+    extent_mm = (
+        np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
+    )
+    slide = (
+        None
+        if touched.shear_mm is None
+        else rounded_triple(turn[:, :2] @ np.array(touched.shear_mm))
+    )
     return HandObject(
         id=touched.id,
         centroid_mm=rounded_triple(hand_T_sensor.apply(np.array(touched.centroid_mm))),

@@ -21,7 +21,10 @@ TOUCH_SCHEMA: Mapping[str, Any] = {
     "properties": {
         **{name: {"type": "number"} for name in ("t_ns", "seq", "wall_ns")},
         **{
-            name: {"type": "object", "properties": {each: {"type": "number"} for each in QUANTITIES}}
+            name: {
+                "type": "object",
+                "properties": {each: {"type": "number"} for each in QUANTITIES},
+            }
             for name in ("touch", "touch_sigma")
         },
         **{name: {"type": "string"} for name in ("reason", "reason_code")},
@@ -50,7 +53,11 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             y_mm=y_mm,
             shear_x_mm=shear_x_mm,
             shear_y_mm=shear_y_mm,
-            twist_deg=max((o.twist_deg for o in result.objects if o.twist_deg is not None), key=abs, default=None),
+            twist_deg=max(
+                (o.twist_deg for o in result.objects if o.twist_deg is not None),
+                key=abs,
+                default=None,
+            ),
             slip=slip,
             slip_mm_s=slip_mm_s,
             fps=fps,
@@ -65,7 +72,9 @@ def encode_touch(result: Reconstruction) -> bytes:
     """The ``touch`` payload."""
     reason = result.reason if result.touch is None else result.touch.reason
     numbers: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
-    return encode_json(TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **numbers))
+    return encode_json(
+        TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **numbers)
+    )
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:
@@ -82,18 +91,38 @@ def _rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
 def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
     """The ``event/slip`` payload of an object that began to slide."""
     x_mm, y_mm, _ = sliding.centroid_mm
-    slip = SlipEvent(t_ns=result.t_ns, seq=result.seq, id=sliding.id, x_mm=x_mm, y_mm=y_mm, slip_mm_s=sliding.slip_mm_s)
+    slip = SlipEvent(
+        t_ns=result.t_ns,
+        seq=result.seq,
+        id=sliding.id,
+        x_mm=x_mm,
+        y_mm=y_mm,
+        slip_mm_s=sliding.slip_mm_s,
+    )
     return encode_json(slip)
 
 
 def event_values(result: Reconstruction) -> dict[str, float]:
     """The values of a frame whose greatest a `ContactEvent` has."""
-    shear, slips = result.shear_of_contact_mm, [o.slip for o in result.objects if o.slip is not None]
-    values = {"depth_max_mm": result.depth_max_mm, "volume_mm3": result.volume_mm3, "objects": len(result.objects)}
-    return values | ({"shear_mm": math.hypot(*shear)} if shear else {}) | ({"slip": max(slips)} if slips else {})
+    shear, slips = (
+        result.shear_of_contact_mm,
+        [o.slip for o in result.objects if o.slip is not None],
+    )
+    values = {
+        "depth_max_mm": result.depth_max_mm,
+        "volume_mm3": result.volume_mm3,
+        "objects": len(result.objects),
+    }
+    return (
+        values
+        | ({"shear_mm": math.hypot(*shear)} if shear else {})
+        | ({"slip": max(slips)} if slips else {})
+    )
 
 
-def encode_info(*, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any) -> bytes:
+def encode_info(
+    *, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any
+) -> bytes:
     """The ``info`` payload; `calibration` is the reason if there is none, a missing `choice` means `profile`.
 
     `others` are fields of `Info`.
@@ -114,7 +143,9 @@ def encode_info(*, calibration: Calibration | Reason, choice: str | None = None,
 def _geometry(calibration: Calibration) -> InfoGeometry:
     sources = calibration, calibration.geometry, calibration.geometry.disc
     names = {field.name for field in fields(InfoGeometry)}
-    values = {name: getattr(source, name) for source in sources for name in names if hasattr(source, name)}
+    values = {
+        name: getattr(source, name) for source in sources for name in names if hasattr(source, name)
+    }
     return InfoGeometry(**values, calibration_crc32=calibration.crc32)
 
 

@@ -18,7 +18,11 @@ from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 
 Verb = Literal["reference", "profile", "status", "record", "stitch", "replay"]
 StitchAction = Literal["begin", "add", "end", "abort", "status"]
-Transaction = Annotated[str, msgspec.Meta(max_length=128)] | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)] | None
+Transaction = (
+    Annotated[str, msgspec.Meta(max_length=128)]
+    | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)]
+    | None
+)
 REQUEST_BYTES_MAX: Final = 4096
 RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
 RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
@@ -111,7 +115,11 @@ class Request:
 
 
 def parse_request(
-    verb: str, payload: bytes, *, response_topic: str | None = None, correlation: bytes | None = None
+    verb: str,
+    payload: bytes,
+    *,
+    response_topic: str | None = None,
+    correlation: bytes | None = None,
 ) -> Request:
     """Decode the payload of ``req/<verb>``; an empty one means ``{}``.
 
@@ -161,4 +169,6 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
 
 def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
     """The reply to a request that failed: ``{"transaction", "ok": false, "error": "one line", "reason_code"}``."""
-    return encode_json({"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code})
+    return encode_json(
+        {"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code}
+    )

@@ -61,7 +61,10 @@ class SessionEnded(_Result, frozen=True):
     area_mm2: float  # of the map's cells that have a height
 
     def figures(self) -> dict[str, Any]:
-        rounded = {"disagreement_mm": round(self.disagreement_mm, 3), "area_mm2": round(self.area_mm2)}
+        rounded = {
+            "disagreement_mm": round(self.disagreement_mm, 3),
+            "area_mm2": round(self.area_mm2),
+        }
         return {**asdict(self), "refined": int(self.refined), **rounded}
 
 
@@ -93,7 +96,9 @@ class NoSession(_Result, frozen=True):
         return {"open": 0}
 
 
-SessionResult = SessionBegun | PressAdded | SessionEnded | SessionAborted | SessionStatus | NoSession
+SessionResult = (
+    SessionBegun | PressAdded | SessionEnded | SessionAborted | SessionStatus | NoSession
+)
 RequestResult = ProfileChosen | ReferenceTaken | SessionResult
 
 
@@ -116,7 +121,11 @@ class FrameCaptured(_Result, frozen=True):
     pose_error_us: int | None
 
     def figures(self) -> dict[str, Any]:
-        found = {**asdict(self), "area_mm2": round(float(self.area_mm2), 1), "pose": self.pose_error_us is not None}
+        found = {
+            **asdict(self),
+            "area_mm2": round(float(self.area_mm2), 1),
+            "pose": self.pose_error_us is not None,
+        }
         error_us = found.pop("pose_error_us")
         return found if error_us is None else {**found, "pose_error_us": error_us}
 
@@ -144,4 +153,6 @@ class TouchSwitched(_Result, frozen=True):
         return {"on": 1, "rate_hz": self.rate_hz} if self.rate_hz else {"on": 0}
 
 
-SerialResult = ClockRead | FrameCaptured | LineStatus | TouchSwitched | ReferenceTaken | SessionResult
+SerialResult = (
+    ClockRead | FrameCaptured | LineStatus | TouchSwitched | ReferenceTaken | SessionResult
+)

@@ -51,7 +51,10 @@ class _Cursor:
                 f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected a CDR header"
             )
         self._u32 = struct.Struct("<I" if payload[1] == 1 else ">I")
-        self._payload, self._at = payload, _ENCAPSULATION_BYTES + 8  # the header's time, and then its frame's name
+        self._payload, self._at = (
+            payload,
+            _ENCAPSULATION_BYTES + 8,
+        )  # the header's time, and then its frame's name
         self.text()
 
     def skip(self, count: int) -> None:
@@ -72,7 +75,9 @@ class _Cursor:
         count = self.u32()
         found = self._payload[self._at : self._at + count]
         if len(found) < count:
-            raise DecodeError(f"found an image cut short after {len(self._payload)} bytes, expected a whole image")
+            raise DecodeError(
+                f"found an image cut short after {len(self._payload)} bytes, expected a whole image"
+            )
         self._at += count
         return found
 

@@ -64,7 +64,9 @@ class InfoGeometry:
     def geometry(self) -> Geometry:
         """Skin, camera and disc."""
         disc = Disc(self.row_c, self.col_c, self.radius_px)
-        return Geometry(self.skin_radius_mm, self.camera_distance_mm, self.visible_half_angle_deg, disc)
+        return Geometry(
+            self.skin_radius_mm, self.camera_distance_mm, self.visible_half_angle_deg, disc
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -343,7 +345,12 @@ class HandObjects:
     @property
     def motion(self) -> Motion | None:
         """Motion of the object that the hand holds; None if no finger that touches it reports shear."""
-        found = (o.motion for finger in self.fingers.values() for o in finger.objects if o.motion is not None)
+        found = (
+            o.motion
+            for finger in self.fingers.values()
+            for o in finger.objects
+            if o.motion is not None
+        )
         return next(found, None)
 
 
@@ -385,7 +392,9 @@ def _binary(kind: type, name: str) -> Topic:
     def read(part: str, payload: bytes) -> Any:
         message = decode(payload)
         if not isinstance(message, kind):
-            raise DecodeError(f"{part}: found a {type(message).__name__}, expected a {kind.__name__}")
+            raise DecodeError(
+                f"{part}: found a {type(message).__name__}, expected a {kind.__name__}"
+            )
         return message
 
     return Topic(read, f"application/vnd.tacshade.{name}", newest_wins=True)

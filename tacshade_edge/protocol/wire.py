@@ -7,14 +7,27 @@ from typing import Required, TypedDict, Unpack
 import numpy as np
 
 from tacshade_edge.protocol import wire_format
-from tacshade_edge.protocol.wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, pack
+from tacshade_edge.protocol.wire_format import (
+    CloudMessage,
+    HeightMessage,
+    ShearMessage,
+    SigmaMessage,
+    pack,
+)
 from tacshade_edge.types import F32, U16, Pose, Reconstruction
 
 __all__ = ["CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage", "decode"]
 
-HEAD, HEADER_BYTES, PAYLOAD_BYTES_MAX = wire_format.HEAD, wire_format.HEADER_BYTES, wire_format.PAYLOAD_BYTES_MAX
+HEAD, HEADER_BYTES, PAYLOAD_BYTES_MAX = (
+    wire_format.HEAD,
+    wire_format.HEADER_BYTES,
+    wire_format.PAYLOAD_BYTES_MAX,
+)
 decode = wire_format.decode
-_LIMIT_MM, _PER_MM = np.float32(wire_format.STEPS_MAX * wire_format.SCALE_MM), np.float32(1 / wire_format.SCALE_MM)
+_LIMIT_MM, _PER_MM = (
+    np.float32(wire_format.STEPS_MAX * wire_format.SCALE_MM),
+    np.float32(1 / wire_format.SCALE_MM),
+)
 _OUTSIDE = np.float32(wire_format.OUTSIDE)
 
 
@@ -47,19 +60,32 @@ def encode_sigma(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
 
 def encode_cloud(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
     """The ``cloud`` payload of a reconstruction; the grid fields of its header are 0."""
-    return _pack(wire_format.CLOUD, result, taken, *_cloud(result.cloud.points_mm, result.cloud.labels))
+    return _pack(
+        wire_format.CLOUD, result, taken, *_cloud(result.cloud.points_mm, result.cloud.labels)
+    )
 
 
-def encode_map_cloud(points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int) -> bytes:
+def encode_map_cloud(
+    points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int
+) -> bytes:
     """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame, with the revision as its sequence."""
     flags = {"contact": True, "invalid": False, "saturated": False, "degraded": False}
-    times = {"seq": revision, "calibration_crc32": calibration_crc32, "t_ns": t_ns, "wall_ns": wall_ns}
+    times = {
+        "seq": revision,
+        "calibration_crc32": calibration_crc32,
+        "t_ns": t_ns,
+        "wall_ns": wall_ns,
+    }
     shape, grid, data = _cloud(points_mm, np.ones(len(points_mm), np.uint16))
     return pack(wire_format.CLOUD, shape, grid, data, **times, **flags, pose=None, pose_error_us=0)
 
 
-def _cloud(points_mm: F32, labels: U16) -> tuple[tuple[int, int], tuple[float, float, float], bytes]:
-    data = points_mm.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
+def _cloud(
+    points_mm: F32, labels: U16
+) -> tuple[tuple[int, int], tuple[float, float, float], bytes]:
+    data = (
+        points_mm.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
+    )
     return (len(labels) & wire_format.SIDE_MAX, len(labels) >> 16), (0.0, 0.0, 0.0), data
 
 
@@ -84,6 +110,18 @@ def _pack(
     grid: tuple[float, float, float],
     data: bytes,
 ) -> bytes:
-    fields = {"pose": None, "pose_error_us": 0, "seq": result.seq, "t_ns": result.t_ns, "wall_ns": result.wall_ns}
-    fields |= {"contact": result.contact, "invalid": not result.valid, "saturated": result.saturated}
-    return pack(kind, shape, grid, data, **{**fields, "degraded": result.degraded is not None, **taken})
+    fields = {
+        "pose": None,
+        "pose_error_us": 0,
+        "seq": result.seq,
+        "t_ns": result.t_ns,
+        "wall_ns": result.wall_ns,
+    }
+    fields |= {
+        "contact": result.contact,
+        "invalid": not result.valid,
+        "saturated": result.saturated,
+    }
+    return pack(
+        kind, shape, grid, data, **{**fields, "degraded": result.degraded is not None, **taken}
+    )

@@ -120,7 +120,9 @@ _GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage],
 """The kinds with a value per cell: the message, its array, and the number of values per cell."""
 
 
-def pack(kind: int, shape: tuple[int, int], grid: tuple[float, float, float], data: bytes, **fields: Any) -> bytes:
+def pack(
+    kind: int, shape: tuple[int, int], grid: tuple[float, float, float], data: bytes, **fields: Any
+) -> bytes:
     """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud), data, and the fields
     of every kind; `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
     """
@@ -130,10 +132,19 @@ def pack(kind: int, shape: tuple[int, int], grid: tuple[float, float, float], da
         flags |= fields[name] << bit
     head = HEAD.pack(
         *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
-        *(fields["seq"] & _U32, fields["calibration_crc32"] & _U32, fields["t_ns"], fields["wall_ns"]),
+        *(
+            fields["seq"] & _U32,
+            fields["calibration_crc32"] & _U32,
+            fields["t_ns"],
+            fields["wall_ns"],
+        ),
         *(*shape, *grid, SCALE_MM),
         0 if pose is None else min(fields["pose_error_us"], _U32),
-        *((0.0,) * 7 if pose is None else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)),
+        *(
+            (0.0,) * 7
+            if pose is None
+            else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
+        ),
         len(data),
     )
     return b"".join((head, _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0), data))
@@ -166,7 +177,9 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
         if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
             _refuse("", "a point out of range", f"every point within {_MM_MAX:g} mm of the origin")
-        labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(np.uint16, copy=False)
+        labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(
+            np.uint16, copy=False
+        )
         return CloudMessage(**common, points_mm=points.reshape(n, 3), labels=labels)
     made, name, per_cell = _GRIDS[kind]
     steps = np.frombuffer(data, "<i2", rows * cols * per_cell, HEADER_BYTES)
@@ -177,7 +190,9 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
 
 
 def _refuse(byte: str, found: str, expected: str) -> NoReturn:
-    raise DecodeError(f"height/cloud payload{byte and f', byte {byte}'}: found {found}, expected {expected}")
+    raise DecodeError(
+        f"height/cloud payload{byte and f', byte {byte}'}: found {found}, expected {expected}"
+    )
 
 
 def _check(data: bytes) -> tuple[int, int, int]:
@@ -208,7 +223,9 @@ def _check(data: bytes) -> tuple[int, int, int]:
     return kind, rows, cols
 
 
-def _check_grid(rows: int, cols: int, row0: float, col0: float, step_px: float, scale_mm: float) -> None:
+def _check_grid(
+    rows: int, cols: int, row0: float, col0: float, step_px: float, scale_mm: float
+) -> None:
     if not rows * cols:
         _refuse("32", f"{rows} x {cols} cells", "at least one")
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):

@@ -84,7 +84,9 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
             return document
     ids = ", ".join(document.settings.sensor_id for document in documents)
     if sensor_id is None:
-        raise ConfigError(f"{path}: found several sensors but no --sensor, expected --sensor with one of {ids}")
+        raise ConfigError(
+            f"{path}: found several sensors but no --sensor, expected --sensor with one of {ids}"
+        )
     raise ConfigError(f"--sensor: found {shown(sensor_id)}, expected one of {ids} ({path})")
 
 
@@ -101,7 +103,9 @@ def _document(file: YamlFile, several: bool) -> Document:
     _check_exposure(file, settings.source)
     _check_hand(file, settings, several)
     settings = _absolute(settings, file.path.absolute().parent)
-    return Document(file.path, _own_folders(settings, file.found) if several else settings, file.found, several)
+    return Document(
+        file.path, _own_folders(settings, file.found) if several else settings, file.found, several
+    )
 
 
 def load_hand(path: Path) -> Hand | None:
@@ -110,7 +114,11 @@ def load_hand(path: Path) -> Hand | None:
     file = strict_yaml.read(path)
     kept = {key: file.value[key] for key in (HAND, "mqtt") if file.value.get(key) is not None}
     settings = _absolute(msgspec.convert(kept, Settings), path.absolute().parent)
-    return Hand(Document(path, settings, file.found, True), settings.hand_id, fingers) if settings.hand_id else None
+    return (
+        Hand(Document(path, settings, file.found, True), settings.hand_id, fingers)
+        if settings.hand_id
+        else None
+    )
 
 
 def _check_hand(file: YamlFile, settings: Settings, several: bool) -> None:
@@ -119,9 +127,14 @@ def _check_hand(file: YamlFile, settings: Settings, several: bool) -> None:
         raise file.error((HAND,), f"found {settings.hand_id}, expected it beside {SENSORS} only")
     if settings.hand_T_sensor is None:
         if settings.hand_id is not None:
-            raise file.error((FINGER,), f"found nothing, expected the sensor's place in the hand that {HAND} names")
+            raise file.error(
+                (FINGER,),
+                f"found nothing, expected the sensor's place in the hand that {HAND} names",
+            )
     elif settings.hand_id is None:
-        raise file.error((FINGER,), f"found it without {HAND}, expected it in a hand's sensors only")
+        raise file.error(
+            (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only"
+        )
     elif problem := wrong_with(settings.hand_T_sensor):
         raise file.error((FINGER,), problem)
 
@@ -147,7 +160,10 @@ def _check_profile(file: YamlFile, settings: Settings) -> None:
         return
     given = "nothing" if budget_ms is None else f"{budget_ms:g}"
     expected = "a number of milliseconds" if budget_ms is None else f"it with profile {AUTO} only"
-    raise file.error(("latency_budget_ms",), f"found {given} with profile {settings.profile}, expected {expected}")
+    raise file.error(
+        ("latency_budget_ms",),
+        f"found {given} with profile {settings.profile}, expected {expected}",
+    )
 
 
 def to_yaml(settings: Settings) -> str:
@@ -184,7 +200,9 @@ def _explained(
     """The key and the problem of one msgspec error, which names a JSON path below `at` and one field."""
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
     key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
-    if unknown := re.match(r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL):
+    if unknown := re.match(
+        r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL
+    ):
         given, schema = _at(key, value, root)
         names = list(_option(schema, given, root)["properties"])
         text = f"found an unknown key, expected one of {', '.join(names)}{did_you_mean(unknown[1], names)}"
@@ -210,8 +228,15 @@ def _at(key: Key, value: Any, root: dict[str, Any]) -> tuple[Any, dict[str, Any]
 def _option(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
     """The alternative of `schema` for a mapping or list; a tag chooses the struct, and if wrong is all there is."""
     options: list[dict[str, Any]]
-    options = [root["$defs"][o["$ref"].rpartition("/")[2]] if "$ref" in o else o for o in schema.get("anyOf", [schema])]
-    options = [option for option in options if ("items" if isinstance(value, list) else "properties") in option]
+    options = [
+        root["$defs"][o["$ref"].rpartition("/")[2]] if "$ref" in o else o
+        for o in schema.get("anyOf", [schema])
+    ]
+    options = [
+        option
+        for option in options
+        if ("items" if isinstance(value, list) else "properties") in option
+    ]
     if "discriminator" not in schema:
         return options[0]
     tag = schema["discriminator"]["propertyName"]
@@ -226,7 +251,12 @@ def expectation(schema: dict[str, Any], given: object = None) -> str:
         return f"one of {', '.join(map(str, schema['enum']))}{did_you_mean(given, schema['enum'])}"
     if "anyOf" in schema and "discriminator" not in schema:
         return " or ".join(map(expectation, schema["anyOf"]))
-    kind = {"integer": "an integer", "number": "a number", "string": "a string", "boolean": "true or false"}
+    kind = {
+        "integer": "an integer",
+        "number": "a number",
+        "string": "a string",
+        "boolean": "true or false",
+    }
     kind |= {"array": "a list", "null": "null"}
     text = kind.get(schema.get("type", ""), "a mapping")
     if schema.get("minItems"):
@@ -266,7 +296,9 @@ def _split(file: YamlFile) -> Iterator[YamlFile]:
                 raise file.error((*at, key), "found nothing, expected one of its own")
         for key, place in _places(own).items():
             if place in places:
-                raise file.error((*at, key), f"found the same as in {places[place]}, expected another")
+                raise file.error(
+                    (*at, key), f"found the same as in {places[place]}, expected another"
+                )
             places[place] = dotted((*at, key))
         value = {**_over(common, own), "sensor_id": sensor_id}
         if isinstance(serial := value.get("serial"), dict) and "device" in serial:
@@ -304,7 +336,9 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
 
     def at(section: Any, *names: str) -> Any:
         paths = {name: getattr(section, name, None) for name in names}
-        absolute = {name: str(named_file(folder, path)) for name, path in paths.items() if path is not None}
+        absolute = {
+            name: str(named_file(folder, path)) for name, path in paths.items() if path is not None
+        }
         return msgspec.structs.replace(section, **absolute)
 
     source = settings.source

@@ -13,7 +13,9 @@ from msgspec import Meta
 from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.protocol.broker_address import HOST
 
-Placed = Annotated[list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")]
+Placed = Annotated[
+    list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")
+]
 
 _UNIT_TOLERANCE: Final = 1e-3
 _PLACE_MAX_MM: Final = 1e6
@@ -30,51 +32,105 @@ def wrong_with(seven: Sequence[float]) -> str | None:
     return None
 
 
-class V4l2(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="v4l2"):
+class V4l2(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    tag_field="kind",
+    tag="v4l2",
+):
     """A Linux video device."""
 
     device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
     width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] = 640
     height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] = 480
-    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second to request from the camera")] = 30
-    fourcc: Annotated[Literal["MJPG", "YUYV", "NV12", "GREY"], Meta(description="pixel format")] = "MJPG"
+    fps: Annotated[
+        int, Meta(ge=1, le=240, description="frames per second to request from the camera")
+    ] = 30
+    fourcc: Annotated[Literal["MJPG", "YUYV", "NV12", "GREY"], Meta(description="pixel format")] = (
+        "MJPG"
+    )
     exposure: (
-        Annotated[int, Meta(ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC")] | None
+        Annotated[
+            int,
+            Meta(
+                ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC"
+            ),
+        ]
+        | None
     ) = None
 
 
-class Rpicam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="rpicam"):
+class Rpicam(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    tag_field="kind",
+    tag="rpicam",
+):
     """A Raspberry Pi's own (CSI) camera, through the program rpicam-vid."""
 
-    camera: Annotated[int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")] = 0
+    camera: Annotated[
+        int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")
+    ] = 0
     width_px: Annotated[int, Meta(ge=64, le=4096, multiple_of=64, description="image width")] = 640
     height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] = 480
-    fps: Annotated[int, Meta(ge=1, le=240, description="frames per second to request from the camera")] = 30
+    fps: Annotated[
+        int, Meta(ge=1, le=240, description="frames per second to request from the camera")
+    ] = 30
     exposure_us: Annotated[int, Meta(ge=1, le=1_000_000, description="locked exposure")] = 10_000
     gain: Annotated[float, Meta(ge=1, le=64, description="locked gain of the image sensor")] = 1.0
     lens_position: (
-        Annotated[float, Meta(ge=0, le=50, description="locked focus of a lens that moves, dioptres")] | None
+        Annotated[
+            float, Meta(ge=0, le=50, description="locked focus of a lens that moves, dioptres")
+        ]
+        | None
     ) = None
     sensor_mode: (
-        Annotated[str, Meta(pattern=r"^[0-9]{2,5}:[0-9]{2,5}$", description="WIDTH:HEIGHT of the sensor's mode")] | None
+        Annotated[
+            str,
+            Meta(
+                pattern=r"^[0-9]{2,5}:[0-9]{2,5}$", description="WIDTH:HEIGHT of the sensor's mode"
+            ),
+        ]
+        | None
     ) = None
 
 
-class Files(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="files"):
+class Files(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    tag_field="kind",
+    tag="files",
+):
     """Images or a video file in place of a camera."""
 
-    path: Annotated[str, Meta(min_length=1, description="a folder of images, an image or a video file")]
+    path: Annotated[
+        str, Meta(min_length=1, description="a folder of images, an image or a video file")
+    ]
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
     loop: Annotated[bool, Meta(description="begin again after the last image")] = False
 
 
 class Simulated(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="simulated"
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    tag_field="kind",
+    tag="simulated",
 ):
     """The simulated sensor, pressed repeatedly or according to a file."""
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
-    pressed: Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")] | None = None
+    pressed: (
+        Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")]
+        | None
+    ) = None
 
 
 Source = V4l2 | Rpicam | Files | Simulated
@@ -93,31 +149,41 @@ _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # the topics of hands begin with 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The broker."""
 
-    host: Annotated[str, Meta(pattern=HOST, description="host name or address, without port, brackets or URL")] = (
-        "localhost"
-    )
+    host: Annotated[
+        str, Meta(pattern=HOST, description="host name or address, without port, brackets or URL")
+    ] = "localhost"
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
     username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
-    password_file: Annotated[str, Meta(min_length=1, description="file whose first line is the password")] | None = None
-    ca_file: Annotated[str, Meta(min_length=1, description="PEM file of the broker's CA; turns TLS on")] | None = None
-    home_assistant: Annotated[bool, Meta(description="announce this sensor to Home Assistant")] = False
+    password_file: (
+        Annotated[str, Meta(min_length=1, description="file whose first line is the password")]
+        | None
+    ) = None
+    ca_file: (
+        Annotated[str, Meta(min_length=1, description="PEM file of the broker's CA; turns TLS on")]
+        | None
+    ) = None
+    home_assistant: Annotated[bool, Meta(description="announce this sensor to Home Assistant")] = (
+        False
+    )
 
 
 class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Recordings requested by ``req/record``."""
 
-    folder: Annotated[str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")] = (
-        "/var/lib/tacshade-edge/recordings"
-    )
-    pre_roll_s: Annotated[float, Meta(ge=0, le=60, description="a recording begins this long before its request")] = 0.0
+    folder: Annotated[
+        str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")
+    ] = "/var/lib/tacshade-edge/recordings"
+    pre_roll_s: Annotated[
+        float, Meta(ge=0, le=60, description="a recording begins this long before its request")
+    ] = 0.0
 
 
 class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stitching sessions, if frames have poses."""
 
-    folder: Annotated[str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")] = (
-        "/var/lib/tacshade-edge/sessions"
-    )
+    folder: Annotated[
+        str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")
+    ] = "/var/lib/tacshade-edge/sessions"
 
 
 class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -125,34 +191,56 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     device: Annotated[
         str,
-        Meta(pattern="^(/dev/|[a-z0-9]+://)", description="a serial port's path under /dev, or a pyserial URL"),
+        Meta(
+            pattern="^(/dev/|[a-z0-9]+://)",
+            description="a serial port's path under /dev, or a pyserial URL",
+        ),
     ]
-    baud: Annotated[int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")] = 115200
+    baud: Annotated[
+        int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")
+    ] = 115200
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
     sensor_id: Annotated[
-        str, Meta(pattern=_SENSOR_ID, description="letters, digits, - and _, not `hand`; part of every topic")
+        str,
+        Meta(
+            pattern=_SENSOR_ID,
+            description="letters, digits, - and _, not `hand`; part of every topic",
+        ),
     ] = "tacshade"
-    calibration: Annotated[str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")] = (
-        "/var/lib/tacshade-edge/calibration.npz"
-    )
-    profile: Annotated[str, Meta(pattern=f"^({'|'.join(_PROFILES)})$", extra_json_schema={"enum": _PROFILES})] = DEFAULT
+    calibration: Annotated[
+        str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")
+    ] = "/var/lib/tacshade-edge/calibration.npz"
+    profile: Annotated[
+        str, Meta(pattern=f"^({'|'.join(_PROFILES)})$", extra_json_schema={"enum": _PROFILES})
+    ] = DEFAULT
     latency_budget_ms: (
-        Annotated[float, Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto")] | None
+        Annotated[
+            float,
+            Meta(gt=0, le=60_000, description="from a frame's time stamp to its result, for auto"),
+        ]
+        | None
     ) = None
     shear: Annotated[
-        Literal["asked", "always"], Meta(description="when to compute the skin's shear, twist and slip")
+        Literal["asked", "always"],
+        Meta(description="when to compute the skin's shear, twist and slip"),
     ] = "asked"
-    source: Annotated[V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")] = V4l2()
+    source: Annotated[
+        V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")
+    ] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
     serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
     stitching: Annotated[Stitching, Meta(description="stitching sessions")] = Stitching()
     hand_id: (
-        Annotated[str, Meta(pattern=_ID, description="letters, digits, - and _; part of the hand's topics")] | None
+        Annotated[
+            str,
+            Meta(pattern=_ID, description="letters, digits, - and _; part of the hand's topics"),
+        ]
+        | None
     ) = None
     hand_T_sensor: Placed | None = None
 
@@ -165,7 +253,10 @@ def json_schema() -> dict[str, Any]:
         **msgspec.json.schema(Settings),
         # The types cannot say that `auto` needs a budget and that only `auto` may have one.
         "if": {"properties": {"profile": {"enum": [AUTO]}}, "required": ["profile"]},
-        "then": {"properties": {"latency_budget_ms": {"type": "number"}}, "required": ["latency_budget_ms"]},
+        "then": {
+            "properties": {"latency_budget_ms": {"type": "number"}},
+            "required": ["latency_budget_ms"],
+        },
         "else": {"properties": {"latency_budget_ms": {"type": "null"}}},
     }
 
@@ -177,7 +268,12 @@ def file_schema() -> dict[str, Any]:
     whole = definitions["Settings"]["properties"]
     common = {key: schema for key, schema in whole.items() if key not in OWN}
     own = {key: schema for key, schema in whole.items() if key not in ("sensor_id", HAND)}
-    sensor = {"type": "object", "properties": own, "required": ["calibration", "source"], "additionalProperties": False}
+    sensor = {
+        "type": "object",
+        "properties": own,
+        "required": ["calibration", "source"],
+        "additionalProperties": False,
+    }
     sensors = {
         "type": "object",
         "propertyNames": {"pattern": whole["sensor_id"]["pattern"]},

@@ -40,13 +40,25 @@ class PrintSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The keys of SENSOR.yaml."""
 
-    skin_radius_mm: Annotated[float, Meta(ge=1, le=200, description="radius of the undeformed skin")]
-    visible_half_angle_deg: Annotated[float, Meta(ge=5, le=85, description="of the visible circle, at the centre")]
+    skin_radius_mm: Annotated[
+        float, Meta(ge=1, le=200, description="radius of the undeformed skin")
+    ]
+    visible_half_angle_deg: Annotated[
+        float, Meta(ge=5, le=85, description="of the visible circle, at the centre")
+    ]
     polarity: (
-        Annotated[Literal["bright", "dark"], Meta(description="bright when contact raises the white ratio")] | None
+        Annotated[
+            Literal["bright", "dark"],
+            Meta(description="bright when contact raises the white ratio"),
+        ]
+        | None
     ) = None
-    camera_distance_mm: Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None = None
-    alpha: Annotated[float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")] = 15.0
+    camera_distance_mm: (
+        Annotated[float, Meta(gt=0, le=1000, description="lens behind the skin's centre")] | None
+    ) = None
+    alpha: Annotated[
+        float, Meta(gt=0, le=10000, description="the paper's depth scale, without presses")
+    ] = 15.0
     binarisation: Literal["adaptive", "global", "otsu"] | None = None
     flange_T_sensor: Placed = msgspec.field(default_factory=lambda: list(IDENTITY_POSE))
     visible_circle: VisibleCircle | None = None
@@ -80,5 +92,7 @@ def read_sensor(path: Path) -> Sensor:
         "visible_circle": disc,
         "print_mm": {name: size for name, size in sizes.items() if size is not None},
     }
-    plain = {name: value for name, value in msgspec.structs.asdict(given).items() if name != "print"}
+    plain = {
+        name: value for name, value in msgspec.structs.asdict(given).items() if name != "print"
+    }
     return Sensor(**plain | others)

@@ -61,7 +61,11 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         self.values += 1
-        problem = f"more than {_VALUES_MAX} values, expected a settings file" if self.values > _VALUES_MAX else None
+        problem = (
+            f"more than {_VALUES_MAX} values, expected a settings file"
+            if self.values > _VALUES_MAX
+            else None
+        )
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             problem = "an anchor or alias, expected a plain value"
         if problem:
@@ -89,8 +93,14 @@ class _Loader(yaml.SafeLoader):
         if value is node:
             raise self._error(line, key, f"found {text}, expected a plain value")
         is_finite = not isinstance(value, float) or math.isfinite(value)
-        if isinstance(node, yaml.ScalarNode) and node.style is None and _DECIMAL.fullmatch(node.value):
-            value = value if isinstance(value, int) else float(node.value)  # YAML 1.1 reads 3e1 as text
+        if (
+            isinstance(node, yaml.ScalarNode)
+            and node.style is None
+            and _DECIMAL.fullmatch(node.value)
+        ):
+            value = (
+                value if isinstance(value, int) else float(node.value)
+            )  # YAML 1.1 reads 3e1 as text
         elif node.tag in _NUMBERS and is_finite:
             expected = "expected a plain decimal number, or quotes around text"
             raise self._error(line, key, f"found {text}, which YAML reads as {value}, {expected}")
@@ -102,12 +112,19 @@ class _Loader(yaml.SafeLoader):
         values: dict[str, Any] = {}
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
-            if not isinstance(name_node, yaml.ScalarNode) or name_node.tag != "tag:yaml.org,2002:str":
-                raise self._error(line, key, "found a key that is not text, expected a setting's name")
+            if (
+                not isinstance(name_node, yaml.ScalarNode)
+                or name_node.tag != "tag:yaml.org,2002:str"
+            ):
+                raise self._error(
+                    line, key, "found a key that is not text, expected a setting's name"
+                )
             child = (*key, name_node.value)
             if child in self.found:
                 first = self.found[child].line
-                raise self._error(line, child, f"found again, expected once (first on line {first})")
+                raise self._error(
+                    line, child, f"found again, expected once (first on line {first})"
+                )
             values[name_node.value] = self.value(value_node, child)
             self.found[child] = Found(line, self.found[child].text)
         return values
@@ -121,7 +138,9 @@ def read(path: Path) -> YamlFile:
     try:
         data = read_regular(path, _BYTES_MAX)
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a settings file") from error
+        raise ConfigError(
+            f"{shown(path)}: {error.strerror or error}, expected a settings file"
+        ) from error
     return parse(path, data)
 
 
@@ -131,7 +150,9 @@ def parse(path: Path, data: bytes) -> YamlFile:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text") from error
+        raise ConfigError(
+            f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text"
+        ) from error
     try:
         loader = _Loader(path, text)
         node = loader.get_single_node()
@@ -139,11 +160,15 @@ def parse(path: Path, data: bytes) -> YamlFile:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{path}:{mark.line + 1}" if mark else str(path)
-        raise ConfigError(f"{where}: not valid YAML here: {error.problem or error.context}") from error
+        raise ConfigError(
+            f"{where}: not valid YAML here: {error.problem or error.context}"
+        ) from error
     except yaml.YAMLError as error:  # a character that YAML forbids
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: found YAML that is nested too deeply, expected a settings file's YAML") from error
+        raise ConfigError(
+            f"{path}: found YAML that is nested too deeply, expected a settings file's YAML"
+        ) from error
     loader.found.setdefault((), Found(1, "nothing"))
     return YamlFile(path, value, loader.found)
 

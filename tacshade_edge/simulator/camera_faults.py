@@ -9,7 +9,9 @@ import numpy as np
 from tacshade_edge.types import U8
 
 
-def uneven(image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float) -> U8:
+def uneven(
+    image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float
+) -> U8:
     """Dim one side, like an ageing LED of the ring: by `loss` (a ratio) at its rim, by nothing at the opposite rim."""
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
     angle = np.radians(angle_deg)

@@ -89,7 +89,9 @@ def drag_skin(
     if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
         skin = shape(None if rest is None else rest.leaning_mm)
         return skin if rest is None else replace(skin, origin_mm=rest.origin_mm)
-    sway_mm = model.sway * np.mean([(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0)
+    sway_mm = model.sway * np.mean(
+        [(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0
+    )
     skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
     if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
@@ -103,7 +105,9 @@ def leant_mm(direction: F64, sway_mm: F64) -> F64:
     """
     low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
-    turn = np.minimum(up / 0.1, 1) * (direction[..., :2] @ sway_mm) * (0.5 / (1 - low))  # nothing moves at the rim
+    turn = (
+        np.minimum(up / 0.1, 1) * (direction[..., :2] @ sway_mm) * (0.5 / (1 - low))
+    )  # nothing moves at the rim
     return np.concatenate((up[..., None] * sway_mm, -turn[..., None]), axis=-1)
 
 
@@ -112,7 +116,13 @@ def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
     rim = math.radians(RIM_HALF_ANGLE_DEG)
     angle = np.minimum(np.arccos(np.clip(direction[..., 2], -1, 1)) / rim, 1)
     inner = np.linspace(0, rim, 200)
-    area_mm2 = 2 * math.pi * radius_mm**2 * float(np.mean(np.sin(math.pi * inner / rim) ** 2 * np.sin(inner))) * rim
+    area_mm2 = (
+        2
+        * math.pi
+        * radius_mm**2
+        * float(np.mean(np.sin(math.pi * inner / rim) ** 2 * np.sin(inner)))
+        * rim
+    )
     return np.asarray((volume_mm3 / area_mm2 * np.sin(math.pi * angle) ** 2)[..., None] * direction)
 
 
@@ -120,12 +130,19 @@ def _displaced_mm3(radius_mm: float, presses: Sequence[Press]) -> float:
     """Volume of the objects inside the undeformed skin, as seen from O; to first order in h."""
     obstacle = obstacle_of(radius_mm, presses)
     step_mm = undeformed(radius_mm).step_mm
-    weight = mass_weight(radius_mm, step_mm, len(obstacle) // 2)  # inside the rim, equal to the area's weight
+    weight = mass_weight(
+        radius_mm, step_mm, len(obstacle) // 2
+    )  # inside the rim, equal to the area's weight
     return float(np.sum(obstacle * np.minimum(weight, 1))) * step_mm**2
 
 
 def _swaying(
-    shape: Shape, model: SensorModel, presses: Sequence[Press], mechanics: Mechanics, rest: Skin | None, sway_mm: F64
+    shape: Shape,
+    model: SensorModel,
+    presses: Sequence[Press],
+    mechanics: Mechanics,
+    rest: Skin | None,
+    sway_mm: F64,
 ) -> tuple[Skin, F64]:
     """The skin of a dome that leans by `sway_mm`, and the mean further displacement by the contacts, (2,) mm."""
     radius_mm = model.skin_radius_mm
@@ -138,7 +155,8 @@ def _swaying(
         leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
     skin = shape(leaning)
     node, before = (
-        np.stack(direction_to_chart(at, radius_mm), axis=-1) for at in (direction, radius_mm * direction - moved)
+        np.stack(direction_to_chart(at, radius_mm), axis=-1)
+        for at in (direction, radius_mm * direction - moved)
     )
     if rest is not None and rest.origin_mm is not None:
         before += rest.origin_mm
@@ -149,9 +167,15 @@ def _swaying(
     at_contacts = carried[:, contacts.rows, contacts.cols].T
     ahead = contacts.held_mm - at_contacts
     sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
-    surplus = np.where(sticks, 0.0, np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9))
+    surplus = np.where(
+        sticks,
+        0.0,
+        np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9),
+    )
     owners = [contacts.owner == k for k in range(len(presses))]
-    origin = np.asarray(before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32)
+    origin = np.asarray(
+        before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32
+    )
     part = _unfolded_part(origin, skin.step_mm)
     ahead -= (1 - part) * origin[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     touched, now = (
@@ -163,7 +187,9 @@ def _swaying(
         origin_mm=origin * np.float32(part),
         stuck=tuple(float(sticks[mine].mean()) if mine.any() else 1.0 for mine in owners),
         slid_mm=tuple(_mean(now[mine] - touched[mine]) for mine in owners),
-        surplus=tuple(float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0 for mine in owners),
+        surplus=tuple(
+            float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0 for mine in owners
+        ),
     )
     return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
 
@@ -173,7 +199,9 @@ def _mean(vectors: F64) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def contact_nodes(skin: Skin, direction: F64, presses: Sequence[Press]) -> tuple[I64, I64, I64, F64]:
+def contact_nodes(
+    skin: Skin, direction: F64, presses: Sequence[Press]
+) -> tuple[I64, I64, I64, F64]:
     """Every other node in contact: its row and column on that coarse grid, its press, and its point (N, 3) in mm."""
     every = slice(None, None, _EVERY)
     pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
@@ -184,7 +212,9 @@ def contact_nodes(skin: Skin, direction: F64, presses: Sequence[Press]) -> tuple
     return rows, cols, np.argmin(distances_mm(presses, skin.radius_mm, points), axis=0), points
 
 
-def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presses: Sequence[Press]) -> Contacts:
+def _contacts(
+    skin: Skin, direction: F64, leant: F64, model: SensorModel, presses: Sequence[Press]
+) -> Contacts:
     every = slice(None, None, _EVERY)
     rows, cols, owner, points = contact_nodes(skin, direction, presses)
     if not len(points):
@@ -200,7 +230,9 @@ def _contacts(skin: Skin, direction: F64, leant: F64, model: SensorModel, presse
         (model.skin_decay_mm / skin.step_mm) ** 2
     )
     # Edges press along lines; smoothing shares their pressure among the coarse grid's nodes.
-    pressure_mm = cv2.sepFilter2D(pressure_mm, -1, np.array((0.25, 0.5, 0.25)), np.array((0.25, 0.5, 0.25)))
+    pressure_mm = cv2.sepFilter2D(
+        pressure_mm, -1, np.array((0.25, 0.5, 0.25)), np.array((0.25, 0.5, 0.25))
+    )
     return Contacts(rows, cols, owner, held, touched, pressure_mm[every, every][rows, cols])
 
 
@@ -212,7 +244,9 @@ def carry(
     solver: Callable[[F32, F32, F32], F32] = slid,
 ) -> F32:
     """`Mechanics.carry` of the membrane: `slid` under Coulomb's law."""
-    steepest = _STEEPEST * model.drag_decay_mm / np.maximum(np.linalg.norm(contacts.held_mm, axis=1), 1e-9)
+    steepest = (
+        _STEEPEST * model.drag_decay_mm / np.maximum(np.linalg.norm(contacts.held_mm, axis=1), 1e-9)
+    )
     nodes = (step_mm / model.drag_decay_mm) ** 2
     held, limit = np.zeros((2, *weight.shape), np.float32), np.zeros(weight.shape, np.float32)
     held[:, contacts.rows, contacts.cols] = (contacts.held_mm * np.minimum(steepest, 1)[:, None]).T
@@ -227,7 +261,9 @@ def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
     """The factor on displacements that keeps the skin from folding over itself, as between contacts that meet;
     continuous, so that a long drag does not jump.
     """
-    (xx, yx), (xy, yy) = ([np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0))
+    (xx, yx), (xy, yy) = (
+        [np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0)
+    )
     # The area of a node's cell is 1 + part * trace + part² * determinant, and must be 1 - _STEEPEST at least.
     trace, determinant = xx + yy, xx * yy - xy * yx
     under = trace * trace - 4 * _STEEPEST * determinant
@@ -247,11 +283,16 @@ _RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
 
 
 def two_scale_skin(
-    model: SensorModel, presses: Sequence[Press], leaning_mm: F32 | None = None, solver: Solver = solve
+    model: SensorModel,
+    presses: Sequence[Press],
+    leaning_mm: F32 | None = None,
+    solver: Solver = solve,
 ) -> Skin:
     """Mix two skins into a stiff surface over a soft depth, whose skirt is not exponential."""
     near, far = (
-        press_skin(model.skin_radius_mm, part * model.skin_decay_mm, presses, leaning_mm, solver=solver)
+        press_skin(
+            model.skin_radius_mm, part * model.skin_decay_mm, presses, leaning_mm, solver=solver
+        )
         for part in (0.5, 1.8)
     )
     mixed = np.asarray(0.55 * near.height_mm + 0.45 * far.height_mm, np.float32)
@@ -262,7 +303,10 @@ def turned_mm(direction: F64, sway_mm: F64) -> F64:
     """`Mechanics.lean` of a stiff tip on a soft base: the tip turns rigidly about O's height, above a soft ring."""
     angle = np.clip((direction[..., 2] - _RIM) / (0.3 * (1 - _RIM)), 0, 1)
     along = direction[..., 2:] * sway_mm
-    return np.asarray(angle[..., None] * np.concatenate((along, -(direction[..., :2] @ sway_mm)[..., None]), axis=-1))
+    return np.asarray(
+        angle[..., None]
+        * np.concatenate((along, -(direction[..., :2] @ sway_mm)[..., None]), axis=-1)
+    )
 
 
 def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
@@ -278,7 +322,9 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
         )
         beside = np.ones(weight.shape, np.uint8)
         beside[contacts.rows[mine], contacts.cols[mine]] = 0
-        distance, label = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        distance, label = cv2.distanceTransformWithLabels(
+            beside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        )
         of_label = np.zeros((label.max() + 1, 2))
         of_label[label[contacts.rows[mine], contacts.cols[mine]]] = held * min(most, 1)
         decays = distance * (step_mm / model.drag_decay_mm)
@@ -287,7 +333,9 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
         carried += np.asarray(np.moveaxis(spread, 2, 0), np.float32)
     beyond = weight**-0.5 - 1  # tan² of half the angle from the apex
     rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
-    return np.asarray(carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32)
+    return np.asarray(
+        carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32
+    )
 
 
 TURNING = Mechanics(turned_mm, carry_far)

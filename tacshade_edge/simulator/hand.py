@@ -85,7 +85,9 @@ def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Gri
     return replace(grip, slid=(x, y, turned))
 
 
-def press_of(body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: tuple[float, float, float]) -> Press:
+def press_of(
+    body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: tuple[float, float, float]
+) -> Press:
     """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and a twist; the origin
     of such a press lies on the undeformed skin.
     """
@@ -98,7 +100,9 @@ def press_of(body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: t
         return body.sdf(points @ turn.astype(points.dtype) + place.astype(points.dtype))
 
     along_x, along_y, twist = drag
-    return Press(Shape(body.name, sdf), x, y, 0.0, drag_x_mm=along_x, drag_y_mm=along_y, twist_deg=twist)
+    return Press(
+        Shape(body.name, sdf), x, y, 0.0, drag_x_mm=along_x, drag_y_mm=along_y, twist_deg=twist
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -120,8 +124,12 @@ class HandScript:
     def __post_init__(self) -> None:
         """Raise ValueError for times that do not increase or do not match the placements."""
         if len(self.times_s) != len(self.placements) or not self.times_s:
-            raise ValueError(f"{len(self.times_s)} times for {len(self.placements)} placements, expected as many")
-        if not all(np.diff(self.times_s) > 0) or not math.isfinite(self.times_s[-1] - self.times_s[0]):
+            raise ValueError(
+                f"{len(self.times_s)} times for {len(self.placements)} placements, expected as many"
+            )
+        if not all(np.diff(self.times_s) > 0) or not math.isfinite(
+            self.times_s[-1] - self.times_s[0]
+        ):
             raise ValueError(f"times_s is {self.times_s}, expected increasing numbers")
 
     def held(self, for_s: float) -> HandScript:
@@ -139,14 +147,19 @@ class HandScript:
     def at(self, t_s: float) -> Placement:
         """The placement at a time; the same value while everything rests."""
         k = bisect_right(self.times_s, t_s)
-        one, other = self.placements[max(k - 1, 0)], self.placements[min(k, len(self.placements) - 1)]
+        one, other = (
+            self.placements[max(k - 1, 0)],
+            self.placements[min(k, len(self.placements) - 1)],
+        )
         if one is other:
             return one
         part = (t_s - self.times_s[k - 1]) / (self.times_s[k] - self.times_s[k - 1])
         a, b = one.hand_T_object, other.hand_T_object
         rotation = a.rotation @ turn(part * turned_rad(a.rotation.T @ b.rotation)).rotation
         pose = Rigid(rotation, a.translation_mm + part * (b.translation_mm - a.translation_mm))
-        return Placement(pose, tuple(p + part * (q - p) for p, q in zip(one.back_mm, other.back_mm, strict=True)))
+        return Placement(
+            pose, tuple(p + part * (q - p) for p, q in zip(one.back_mm, other.back_mm, strict=True))
+        )
 
     def _then(self, for_s: float, placement: Placement) -> HandScript:
         return HandScript((*self.times_s, self.times_s[-1] + for_s), (*self.placements, placement))
@@ -196,7 +209,13 @@ class Felt:
     grip: Grip | None
 
 
-def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid, grip: Grip | None = None) -> Felt:
+def felt(
+    finger: Finger,
+    hand_T_sensor: Rigid,
+    body: Shape,
+    hand_T_object: Rigid,
+    grip: Grip | None = None,
+) -> Felt:
     """Press an object on a finger at its present pose, with the grip of the previous step; without one, the contact
     begins now. Raises ValueError if the object reaches the middle of the sensor.
     """
@@ -211,7 +230,9 @@ def felt(finger: Finger, hand_T_sensor: Rigid, body: Shape, hand_T_object: Rigid
     return Felt(press, skin, slid_on(grip, drag, skin.surplus[0] if skin.surplus else 0.0))
 
 
-def follow(fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]) -> Iterator[Felt]:
+def follow(
+    fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]
+) -> Iterator[Felt]:
     """Yield the contact of finger k with a moving object; a resting one costs nothing. The distance slid is accurate to
     within one placement.
     """

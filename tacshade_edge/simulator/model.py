@@ -84,7 +84,9 @@ class SensorModel:
         """Raise ValueError with the parameter's name for a value that cannot be simulated."""
         require_bounds(self)
         if self.pitch_mm > self.skin_radius_mm / 3 or self.pitch_mm < self.skin_radius_mm / 50:
-            raise ValueError(f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm")
+            raise ValueError(
+                f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm"
+            )
         if self.pin_length_pitches * self.pitch_mm > self.skin_radius_mm / 2:
             raise ValueError(
                 f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
@@ -113,7 +115,9 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         return float(rng.uniform(low, high))
 
     side_px = min(image_height_px, image_width_px)
-    drag_rng = np.random.default_rng((seed, 4))  # a separate stream keeps the sensors drawn before drag was added
+    drag_rng = np.random.default_rng(
+        (seed, 4)
+    )  # a separate stream keeps the sensors drawn before drag was added
     creep_rng = np.random.default_rng((seed, 6))
     disc_radius_px = side_px * draw(0.36, 0.45)
     slack_px = 0.5 * side_px - disc_radius_px

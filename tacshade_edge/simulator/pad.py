@@ -37,7 +37,10 @@ class Bar:
         length = math.hypot(self.x1_mm - self.x0_mm, self.y1_mm - self.y0_mm)
         c, s = (self.x1_mm - self.x0_mm) / length, (self.y1_mm - self.y0_mm) / length
         u, v = x - (self.x0_mm + self.x1_mm) / 2, y - (self.y0_mm + self.y1_mm) / 2
-        along, across = np.abs(c * u + s * v) - length / 2, np.abs(c * v - s * u) - self.width_mm / 2
+        along, across = (
+            np.abs(c * u + s * v) - length / 2,
+            np.abs(c * v - s * u) - self.width_mm / 2,
+        )
         outside = np.hypot(np.maximum(along, 0), np.maximum(across, 0))
         return np.asarray(outside + np.minimum(np.maximum(along, across), 0))
 
@@ -58,7 +61,10 @@ class Arc:
         half = math.radians(self.to_deg - self.from_deg) / 2
         middle = math.radians(self.from_deg + self.to_deg) / 2
         u, v = x - self.x_mm, y - self.y_mm
-        u, v = math.cos(middle) * u + math.sin(middle) * v, np.abs(math.cos(middle) * v - math.sin(middle) * u)
+        u, v = (
+            math.cos(middle) * u + math.sin(middle) * v,
+            np.abs(math.cos(middle) * v - math.sin(middle) * u),
+        )
         ring = np.abs(np.hypot(u, v) - self.radius_mm)
         if half < math.pi:
             end = np.hypot(u - self.radius_mm * math.cos(half), v - self.radius_mm * math.sin(half))
@@ -103,7 +109,9 @@ class Pad:
         undeformed skin.
         """
         x, y, _ = base_T_sensor.translation_mm
-        near = [b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM]
+        near = [
+            b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM
+        ]
         apex = np.array((0.0, 0.0, skin_radius_mm))
 
         def sdf(points: F64) -> F64:
@@ -118,7 +126,9 @@ def _distance(bulges: Sequence[Bulge], p: F64) -> F64:
         side = bulge.outline(p[:, 0], p[:, 1]) + EDGE_ROUNDING_MM
         cap = p[:, 2] - (BULGE_HEIGHT_MM - EDGE_ROUNDING_MM)
         outside = np.hypot(np.maximum(side, 0), np.maximum(cap, 0))
-        nearest = np.minimum(nearest, np.minimum(np.maximum(side, cap), 0) + outside - EDGE_ROUNDING_MM)
+        nearest = np.minimum(
+            nearest, np.minimum(np.maximum(side, cap), 0) + outside - EDGE_ROUNDING_MM
+        )
     return np.asarray(nearest)
 
 
@@ -154,8 +164,15 @@ def scan(pad: Pad, step_mm: float, depth_mm: float, skin_radius_mm: float) -> li
     with the undeformed apex `depth_mm` below the highest point.
     """
     z = BULGE_HEIGHT_MM - depth_mm + skin_radius_mm
-    xs, ys = (np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist() for side in (pad.width_mm, pad.length_mm))
-    return [shift(x, y, z) @ _DOWN for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else reversed(xs))]
+    xs, ys = (
+        np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist()
+        for side in (pad.width_mm, pad.length_mm)
+    )
+    return [
+        shift(x, y, z) @ _DOWN
+        for row, y in enumerate(ys)
+        for x in (xs if row % 2 == 0 else reversed(xs))
+    ]
 
 
 _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
@@ -170,7 +187,9 @@ def disturbed(
     out = []
     for pose in poses:
         axis = rng.standard_normal(3)
-        rotation = turn(axis / np.linalg.norm(axis) * math.radians(sigma_deg) * rng.standard_normal())
+        rotation = turn(
+            axis / np.linalg.norm(axis) * math.radians(sigma_deg) * rng.standard_normal()
+        )
         moved = shift(*(sigma_mm * rng.standard_normal(3)).tolist())
         out.append(moved @ about_apex(pose, rotation, skin_radius_mm))
     return out

@@ -59,7 +59,10 @@ def _extrude(name: str, outline: Callable[[F64, F64], F64]) -> Shape:
 
     def sdf(p: F64) -> F64:
         side = outline(p[:, 0], p[:, 1]) + _ROUNDING_MM
-        return _both(side, np.abs(p[:, 2] - _HEIGHT_MM / 2) - (_HEIGHT_MM / 2 - _ROUNDING_MM)) - _ROUNDING_MM
+        return (
+            _both(side, np.abs(p[:, 2] - _HEIGHT_MM / 2) - (_HEIGHT_MM / 2 - _ROUNDING_MM))
+            - _ROUNDING_MM
+        )
 
     return Shape(name, sdf)
 
@@ -109,7 +112,9 @@ def _union(name: str, *parts: tuple[Shape, float, float]) -> Shape:
     """Join shapes, each moved by (x, y)."""
 
     def sdf(p: F64) -> F64:
-        return np.asarray(np.min([s.sdf(p - np.array((x, y, 0.0), p.dtype)) for s, x, y in parts], axis=0))
+        return np.asarray(
+            np.min([s.sdf(p - np.array((x, y, 0.0), p.dtype)) for s, x, y in parts], axis=0)
+        )
 
     return Shape(name, sdf)
 
@@ -124,7 +129,10 @@ def _ring() -> Shape:
 
 
 def _bar() -> Shape:
-    return Shape("bar", lambda p: _length(p[:, 0] - np.clip(p[:, 0], -7.0, 7.0), p[:, 1], p[:, 2] - 2.0) - 2.0)
+    return Shape(
+        "bar",
+        lambda p: _length(p[:, 0] - np.clip(p[:, 0], -7.0, 7.0), p[:, 1], p[:, 2] - 2.0) - 2.0,
+    )
 
 
 def _edge() -> Shape:
@@ -230,8 +238,12 @@ class Press:
     def tilt(self) -> F64:
         """Rotation matrix (3, 3) of the tilt about x, then y."""
         b, c = math.radians(self.tilt_x_deg), math.radians(self.tilt_y_deg)
-        about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
-        about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
+        about_x = np.array(
+            ((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b)))
+        )
+        about_y = np.array(
+            ((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c)))
+        )
         return np.asarray(about_y @ about_x)
 
     def distance_mm(self, skin_radius_mm: float, points_mm: F64) -> F64:
@@ -242,21 +254,30 @@ class Press:
         z = points_mm[:, 2] - self.origin_z_mm(skin_radius_mm)
         if self.is_tilted:
             x, y, z = (np.stack((x, y, z), axis=1) @ self.tilt().astype(points_mm.dtype)).T
-        return self.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z / self.scale), axis=1)) * self.scale
+        return (
+            self.shape.sdf(np.stack((c * x + s * y, c * y - s * x, z / self.scale), axis=1))
+            * self.scale
+        )
 
     def origin_z_mm(self, skin_radius_mm: float) -> float:
         """The z of the object's origin in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
         lowest = self.lowest_z_mm(skin_radius_mm)
         if not self.is_tilted:
             return lowest
-        return lowest - self.scale * _lowest_mm(self.shape, self.rotation_deg, self.tilt_x_deg, self.tilt_y_deg)
+        return lowest - self.scale * _lowest_mm(
+            self.shape, self.rotation_deg, self.tilt_x_deg, self.tilt_y_deg
+        )
 
     def before_drag(self, x_y_mm: F64) -> F64:
         """Positions (..., 2) in mm, when the object touched, of its points that are now at `x_y_mm`."""
         a = math.radians(self.twist_deg)
-        back = np.array(((math.cos(a), -math.sin(a)), (math.sin(a), math.cos(a))))  # its transpose turns forward
+        back = np.array(
+            ((math.cos(a), -math.sin(a)), (math.sin(a), math.cos(a)))
+        )  # its transpose turns forward
         origin = np.array((self.x_mm, self.y_mm))
-        return np.asarray((x_y_mm - origin) @ back + origin - np.array((self.drag_x_mm, self.drag_y_mm)))
+        return np.asarray(
+            (x_y_mm - origin) @ back + origin - np.array((self.drag_x_mm, self.drag_y_mm))
+        )
 
 
 @functools.lru_cache(maxsize=256)

@@ -59,7 +59,9 @@ def print_features(model: SensorModel) -> Print:
     n = math.ceil(limit / (p * 0.86)) + 1
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     corner = np.stack(((i + 0.5 * j).ravel(), (j * math.sqrt(0.75)).ravel()), axis=1) * p
-    third = np.array((0.5, math.sqrt(1 / 12))) * p  # centre of the triangle right above a lattice point
+    third = (
+        np.array((0.5, math.sqrt(1 / 12))) * p
+    )  # centre of the triangle right above a lattice point
     a = math.radians(model.lattice_rotation_deg)
     turn = np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
     # The second triangle of each lattice cell is the first one mirrored in the cell's middle.
@@ -79,7 +81,9 @@ def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> Print:
     return _printed(model, 14, pins_mm, markers_mm, reach_mm(model), 1.0)
 
 
-def _printed(model: SensorModel, stream: int, pins: F64, markers: F64, limit_mm: float, marker_part: float) -> Print:
+def _printed(
+    model: SensorModel, stream: int, pins: F64, markers: F64, limit_mm: float, marker_part: float
+) -> Print:
     """Print at points of the equal-area chart within a limit, with tolerances drawn from a stream."""
     rng, r = np.random.default_rng((model.print_seed, stream)), model.skin_radius_mm
 
@@ -139,13 +143,17 @@ def project(geometry: Geometry, points_mm: F64) -> F64:
         scale = np.asarray(1 / geometry.mm_per_px)
     else:
         scale = geometry.f_px / (points_mm[..., 2] + geometry.camera_distance_mm)
-    return np.stack((disc.col_c + scale * points_mm[..., 0], disc.row_c + scale * points_mm[..., 1]), axis=-1)
+    return np.stack(
+        (disc.col_c + scale * points_mm[..., 0], disc.row_c + scale * points_mm[..., 1]), axis=-1
+    )
 
 
 class Renderer:
     """Draws one sensor's frames, with another print than the model's if one is given."""
 
-    def __init__(self, model: SensorModel, marks: Print | None = None, profile: PinProfile = FRUSTUM) -> None:
+    def __init__(
+        self, model: SensorModel, marks: Print | None = None, profile: PinProfile = FRUSTUM
+    ) -> None:
         self.model = model
         self.print = print_features(model) if marks is None else marks
         self._profile = profile
@@ -155,7 +163,9 @@ class Renderer:
         rng = np.random.default_rng((model.print_seed, 2))
         light = model.light * (1 - model.vignetting * np.minimum(rho, 1.2) ** 2)
         angle = np.arctan2(rows - model.row_c, cols - model.col_c)
-        self._light = (light * (1 + 0.05 * np.cos(angle - rng.uniform(0, 6.3)) * np.minimum(rho, 1))).astype(np.float32)
+        self._light = (
+            light * (1 + 0.05 * np.cos(angle - rng.uniform(0, 6.3)) * np.minimum(rho, 1))
+        ).astype(np.float32)
         self._outside = _surround(model, rho, angle) * (1 - self._inside)
         self._glints = _glints(model, rng, rows, cols)
 
@@ -180,7 +190,9 @@ class Renderer:
         leaves nearly the same noise in each.
         """
         model, rng = self.model, np.random.default_rng((noise_seed, 3))
-        variance = model.read_noise_grey**2 + np.maximum(image, 0) * (model.shot_noise_grey**2 / 255)
+        variance = model.read_noise_grey**2 + np.maximum(image, 0) * (
+            model.shot_noise_grey**2 / 255
+        )
         grey = image + np.sqrt(variance) * rng.standard_normal(image.shape, np.float32)
         return np.asarray(np.clip(grey + 0.5, 0, 255), np.uint8)
 
@@ -199,7 +211,9 @@ class Renderer:
         pins = self._pins_on(skin, smooth)
 
         def disc(height: float, radius_mm: F64) -> np.typing.NDArray[np.int32]:
-            return _to_canvas(project(model.geometry, pins.disc(height * marks.pin_length_mm, radius_mm)))
+            return _to_canvas(
+                project(model.geometry, pins.disc(height * marks.pin_length_mm, radius_mm))
+            )
 
         def fill(polygons: np.typing.NDArray[np.int32]) -> None:
             for polygon in polygons:
@@ -216,7 +230,9 @@ class Renderer:
             for polygon in tip:
                 cv2.fillConvexPoly(canvas, polygon, tip_level, cv2.LINE_8, _SHIFT)
         return np.asarray(
-            cv2.resize(canvas, (model.image_width_px, model.image_height_px), interpolation=cv2.INTER_AREA)
+            cv2.resize(
+                canvas, (model.image_width_px, model.image_height_px), interpolation=cv2.INTER_AREA
+            )
         )
 
     def _pins_on(self, skin: Skin, smooth: Skin) -> _Pins:
@@ -244,8 +260,15 @@ class _Pins:
     def disc(self, height_mm: F64, radius_mm: F64) -> F64:
         """Corners of a disc at a height of every pin, (P, corners, 3)."""
         angles = np.arange(_PIN_CORNERS) * (2 * math.pi / _PIN_CORNERS)
-        circle = np.cos(angles)[:, None] * self.east[:, None] + np.sin(angles)[:, None] * self.north[:, None]
-        middle = self.base_mm - self.normal * height_mm[:, None] + self.lead_mm * (height_mm > 0)[:, None]
+        circle = (
+            np.cos(angles)[:, None] * self.east[:, None]
+            + np.sin(angles)[:, None] * self.north[:, None]
+        )
+        middle = (
+            self.base_mm
+            - self.normal * height_mm[:, None]
+            + self.lead_mm * (height_mm > 0)[:, None]
+        )
         return np.asarray(middle[:, None] + circle * radius_mm[:, None, None])
 
 
@@ -256,7 +279,9 @@ def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
         return direction, now
     for _ in range(_DRAG_STEPS):  # a contraction, because `drag` lets no skin fold
         before = now
-        direction, now = skin.carried_inwards(chart_mm - skin.sample_origin(now[..., 0], now[..., 1]), friction)
+        direction, now = skin.carried_inwards(
+            chart_mm - skin.sample_origin(now[..., 0], now[..., 1]), friction
+        )
         if np.abs(now - before).max(initial=0) < _DRAG_TOLERANCE_MM:
             break
     return direction, now

@@ -95,7 +95,8 @@ def demonstration() -> Script:
     places = ((0.0, 0.0), (3.0, -2.0), (-4.0, 1.0), (1.0, 4.0), (-2.0, -3.0))
     drags = (Drag(), Drag(-2.5, 0.5), Drag(), Drag(-5.0, -4.0), Drag(2.0, 1.0, 10.0))
     presses = tuple(
-        Press(make(), *places[k % len(places)], 3.0, 25.0 * k % 360) for k, make in enumerate(OBJECTS.values())
+        Press(make(), *places[k % len(places)], 3.0, 25.0 * k % 360)
+        for k, make in enumerate(OBJECTS.values())
     )
     return Script(presses, drags=drags)
 
@@ -114,7 +115,9 @@ def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Pr
         return [round(float(low + (high - low) * c) * scale, 3) for c in cells]
 
     presses = []
-    for k, (radius, depth) in enumerate(zip(stratified(3.0, 9.0), stratified(0.5, 4.0), strict=True)):
+    for k, (radius, depth) in enumerate(
+        zip(stratified(3.0, 9.0), stratified(0.5, 4.0), strict=True)
+    ):
         rho, angle = reach * math.sqrt((k + 0.5) / count), k * _GOLDEN_ANGLE
         x, y = round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3)
         presses.append((Press(ball(radius), x, y, depth), radius))

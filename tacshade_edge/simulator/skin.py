@@ -31,7 +31,9 @@ def solve(obstacle: F32, mass: F32) -> F32:
     """Solve by projected red-black over-relaxation, starting on a quarter of the nodes; h = 0 on the border."""
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
-        coarse = solve(np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4)
+        coarse = solve(
+            np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4
+        )
         rows, cols = obstacle.shape
         # Node (2i, 2j) of the fine grid is node (i, j) of the coarse one.
         to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
@@ -56,7 +58,9 @@ def solve(obstacle: F32, mass: F32) -> F32:
     for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
         r, c = slice(i, rows - 1, 2), slice(j, cols - 1, 2)
         around = [_part(apart, i + di, j + dj, height[r, c].shape) for di, dj in _AROUND]
-        planes.append((*around, np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c])))
+        planes.append(
+            (*around, np.ascontiguousarray(gain[r, c]), np.ascontiguousarray(obstacle[r, c]))
+        )
     for sweep in range(600):
         check = sweep % 8 == 7
         change = 0.0
@@ -149,7 +153,10 @@ def finer(coarse: F32, shape: tuple[int, int]) -> F32:
     to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.stack(
-        [cv2.warpAffine(c, to_coarse, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE) for c in coarse]
+        [
+            cv2.warpAffine(c, to_coarse, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            for c in coarse
+        ]
     )
 
 
@@ -216,7 +223,11 @@ class Skin:
         if self.origin_mm is None:
             return np.zeros((*x.shape, 2))
         return np.stack(
-            [bilinear(each, x / self.step_mm, y / self.step_mm) for each in np.moveaxis(self.origin_mm, 2, 0)], axis=-1
+            [
+                bilinear(each, x / self.step_mm, y / self.step_mm)
+                for each in np.moveaxis(self.origin_mm, 2, 0)
+            ],
+            axis=-1,
         )
 
     def carried_inwards(self, chart_mm: F64, friction: float) -> tuple[F64, F64]:
@@ -262,7 +273,8 @@ def press_skin(
     window = window_of(beyond > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
     pressed = np.zeros_like(obstacle)
     pressed[window] = solver(
-        np.ascontiguousarray(beyond[window]), weight[window] * np.float32((flat.step_mm / decay_mm) ** 2)
+        np.ascontiguousarray(beyond[window]),
+        weight[window] * np.float32((flat.step_mm / decay_mm) ** 2),
     )
     if rest_mm is not None:
         pressed += rest_mm
@@ -286,7 +298,9 @@ def left_over(skin: Skin, part: float) -> Skin:
 def net_pull(skin: Skin, decay_mm: float) -> F32:
     """The pressure of the skin's nodes, in mm: (4 + m) h minus the sum of the neighbours; 0 on the border."""
     h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm
-    mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32((skin.step_mm / decay_mm) ** 2)
+    mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32(
+        (skin.step_mm / decay_mm) ** 2
+    )
     pull = np.zeros_like(h)
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
     pull[1:-1, 1:-1] = (4 + mass[1:-1, 1:-1]) * h[1:-1, 1:-1] - neighbours
@@ -334,7 +348,9 @@ def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | No
     """The skin's distance from O minus the distance at which each node's ray enters an object; 0 if it enters none."""
     surface = np.float32(radius_mm) if leaning_mm is None else np.float32(radius_mm) - leaning_mm
     still = tuple(replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0) for press in presses)
-    return np.asarray(np.maximum(surface - _entries(radius_mm, *_grid(radius_mm), still), 0), np.float32)
+    return np.asarray(
+        np.maximum(surface - _entries(radius_mm, *_grid(radius_mm), still), 0), np.float32
+    )
 
 
 @functools.lru_cache(maxsize=2)
@@ -352,7 +368,9 @@ def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...
     for _ in range(_TRACE_STEPS):
         d = distance_mm(presses, radius_mm, ray * t[:, None])
         hit = d < _TRACE_TOLERANCE_MM
-        entries.flat[index[hit]] = t[hit] + np.minimum(d[hit], 0)  # back out of what the least step entered
+        entries.flat[index[hit]] = t[hit] + np.minimum(
+            d[hit], 0
+        )  # back out of what the least step entered
         t = (t + np.maximum(d, _LEAST_TRACE_MM)).astype(np.float32)
         on = ~hit & (t < end)
         index, ray, t = index[on], ray[on], t[on]

@@ -36,7 +36,9 @@ class Truth:
     depth_max_mm: float
 
 
-def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]) -> Truth:
+def measure(
+    skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]
+) -> Truth:
     """Intersect the ray of every pixel of an image of a shape with a skin and the presses that shaped it."""
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     disc = geometry.disc
@@ -57,7 +59,9 @@ def measure(skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tup
         else False
     )
     contact[inside] = touching
-    return Truth(height, contact, points[touching].astype(np.float32), _object_points(skin), float(h.max()))
+    return Truth(
+        height, contact, points[touching].astype(np.float32), _object_points(skin), float(h.max())
+    )
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
@@ -94,7 +98,9 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
         searching[index[crossed]] = False
     for _ in range(_REFINE_STEPS):  # the Illinois variant of regula falsi
         gap = f_high - f_low
-        s = np.where(gap > 1e-12, (low * f_high - high * f_low) / np.where(gap > 1e-12, gap, 1), high)
+        s = np.where(
+            gap > 1e-12, (low * f_high - high * f_low) / np.where(gap > 1e-12, gap, 1), high
+        )
         f = outside(s, everything)
         up = f >= 0
         f_low, f_high = np.where(up, f_low / 2, f), np.where(up, f, f_high / 2)
@@ -125,7 +131,9 @@ def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
     zero = np.zeros_like(u)
     if geometry.camera_distance_mm is None:
         scale = geometry.mm_per_px
-        return np.stack((u * scale, v * scale, zero), axis=1), np.stack((zero, zero, zero + 1), axis=1)
+        return np.stack((u * scale, v * scale, zero), axis=1), np.stack(
+            (zero, zero, zero + 1), axis=1
+        )
     along = np.stack((u / geometry.f_px, v / geometry.f_px, zero + 1), axis=1)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.stack((zero, zero, zero - geometry.camera_distance_mm), axis=1), along
@@ -155,7 +163,9 @@ class SimulatedFrame:
 
     def shear_mm(self, row: F64, col: F64) -> F64:
         """Shear (N, 2), x and y in mm, of the material that the rays of pixels inside the disc meet."""
-        return shear_mm(self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction)
+        return shear_mm(
+            self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction
+        )
 
 
 class SimulatedSensor:
@@ -164,7 +174,9 @@ class SimulatedSensor:
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
         self._renderer = Renderer(self.model)
-        self._last: tuple[tuple[Press, ...], Skin] | None = None  # a held press costs only its noise
+        self._last: tuple[tuple[Press, ...], Skin] | None = (
+            None  # a held press costs only its noise
+        )
         self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:

@@ -26,7 +26,9 @@ def disk_errors(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         where = error.filename or folder
-        raise DeviceError(f"{where}: cannot write it: {error.strerror or error}", code=ReasonCode.DISK) from None
+        raise DeviceError(
+            f"{where}: cannot write it: {error.strerror or error}", code=ReasonCode.DISK
+        ) from None
 
 
 def is_nearly_full(folder: Path) -> bool:
@@ -71,7 +73,9 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
         raise
 
 
-def write_set(folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes) -> None:
+def write_set(
+    folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes
+) -> None:
     """Write files that belong together, all to the disk before the first one replaces an older one: `manifest` is
     absent while they are mixed with older ones. Raises OSError.
     """
@@ -122,7 +126,9 @@ class FolderLock:
             try:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                holder = os.pread(self._descriptor, _OWNER_BYTES_MAX, 0).decode(errors="replace").strip()
+                holder = (
+                    os.pread(self._descriptor, _OWNER_BYTES_MAX, 0).decode(errors="replace").strip()
+                )
                 kind = "file" if file else "folder"
                 self.release()
                 raise DeviceError(
@@ -133,7 +139,9 @@ class FolderLock:
                 self.release()
                 raise
             os.ftruncate(self._descriptor, 0)
-            os.pwrite(self._descriptor, f"{owner}, process {os.getpid()}\n".encode()[:_OWNER_BYTES_MAX], 0)
+            os.pwrite(
+                self._descriptor, f"{owner}, process {os.getpid()}\n".encode()[:_OWNER_BYTES_MAX], 0
+            )
 
     def release(self) -> None:
         """Release the lock."""

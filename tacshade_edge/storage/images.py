@@ -38,7 +38,11 @@ def images_in(given: Iterable[Path]) -> list[Path]:
     images: list[Path] = []
     for path in given:
         if path.is_dir():
-            found = sorted(each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and each.is_file())
+            found = sorted(
+                each
+                for each in path.iterdir()
+                if each.suffix.lower() in SUFFIXES and each.is_file()
+            )
             if not found:
                 expected = f"expected at least one file of {', '.join(sorted(SUFFIXES))}"
                 raise ConfigError(f"{shown(path)}: found no image, {expected}")

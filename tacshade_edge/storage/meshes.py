@@ -34,11 +34,15 @@ def read_stl(path: Path) -> F64:
     elif data.lstrip()[:5].lower() == b"solid":
         corners = _ascii(path, data)
     else:
-        raise DecodeError(f"{path}: found {len(data)} bytes that are neither an ASCII nor a binary STL file")
+        raise DecodeError(
+            f"{path}: found {len(data)} bytes that are neither an ASCII nor a binary STL file"
+        )
     if not 0 < len(corners) <= MAX_TRIANGLES:
         raise DecodeError(f"{path}: found {len(corners)} triangles, expected 1 to {MAX_TRIANGLES}")
     if not np.isfinite(corners).all():
-        raise DecodeError(f"{path}: found a corner with numbers that are not finite, expected finite numbers")
+        raise DecodeError(
+            f"{path}: found a corner with numbers that are not finite, expected finite numbers"
+        )
     return corners
 
 
@@ -47,9 +51,13 @@ def stl_bytes(triangles_mm: F64) -> bytes:
     a, b, c = np.moveaxis(triangles_mm, 1, 0)
     normal = np.cross(b - a, c - a)
     rows = np.zeros(len(triangles_mm), _TRIANGLE)
-    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows["normal"] = normal / np.maximum(
+        np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny
+    )
     rows["corners"] = triangles_mm
-    return b"binary STL, mm".ljust(_HEAD_BYTES - 4) + len(rows).to_bytes(4, "little") + rows.tobytes()
+    return (
+        b"binary STL, mm".ljust(_HEAD_BYTES - 4) + len(rows).to_bytes(4, "little") + rows.tobytes()
+    )
 
 
 def _ascii(path: Path, data: bytes) -> F64:
@@ -73,16 +81,22 @@ def _ascii(path: Path, data: bytes) -> F64:
             in_facet += 1
         elif word.lower() == "endfacet":
             if in_facet != 3:
-                raise DecodeError(f"{path}:{number}: found a facet with {in_facet} corners, expected 3")
+                raise DecodeError(
+                    f"{path}:{number}: found a facet with {in_facet} corners, expected 3"
+                )
             in_facet = 0
     if in_facet:
-        raise DecodeError(f"{path}: found the end of the file within a facet, expected an endfacet line first")
+        raise DecodeError(
+            f"{path}: found the end of the file within a facet, expected an endfacet line first"
+        )
     return np.array(corners, dtype=np.float64).reshape(-1, 3, 3)
 
 
 def ply(points_mm: F32 | F64, comment: str, labels: U16 | None = None) -> bytes:
     """A PLY file of points (N, 3) in mm: x, y, z as float and, with `labels` (N,), each one's number as ``object``."""
-    return ply_head(len(points_mm), comment, labelled=labels is not None) + ply_rows(points_mm, labels)
+    return ply_head(len(points_mm), comment, labelled=labels is not None) + ply_rows(
+        points_mm, labels
+    )
 
 
 def ply_head(count: int, comment: str, *, labelled: bool = False) -> bytes:
@@ -95,7 +109,10 @@ def ply_head(count: int, comment: str, *, labelled: bool = False) -> bytes:
 
 def ply_rows(points_mm: F32 | F64, labels: U16 | None = None) -> bytes:
     """The bytes of a file's points, or of some of them."""
-    made = np.empty(len(points_mm), [(axis, "<f4") for axis in "xyz"] + [("object", "<u2")] * (labels is not None))
+    made = np.empty(
+        len(points_mm),
+        [(axis, "<f4") for axis in "xyz"] + [("object", "<u2")] * (labels is not None),
+    )
     for axis, values in zip("xyz", np.asarray(points_mm, np.float32).reshape(-1, 3).T, strict=True):
         made[axis] = values
     if labels is not None:

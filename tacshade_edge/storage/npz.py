@@ -35,7 +35,16 @@ _MEMBERS_MAX: Final = 256
 _ENTRY: Final = b"PK\x01\x02"  # begins each entry of the directory, which zipfile reads whole
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
 _DAMAGE: Final = (
-    *(LookupError, ValueError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError, struct.error),
+    *(
+        LookupError,
+        ValueError,
+        TypeError,
+        EOFError,
+        RuntimeError,
+        MemoryError,
+        OverflowError,
+        struct.error,
+    ),
     *(tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
 
@@ -78,7 +87,9 @@ def read(name: str, what: str, writer: str) -> Content:
             f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
         ) from None
     if (found := _crc32(meta, arrays)) != crc:
-        raise ConfigError(f"{name}: the file is damaged: found checksum {found:08x}, expected the stored {crc:08x}")
+        raise ConfigError(
+            f"{name}: the file is damaged: found checksum {found:08x}, expected the stored {crc:08x}"
+        )
     return Content(known, arrays)
 
 
@@ -110,7 +121,9 @@ def record_of(kind: type[T], values: Mapping[str, Any], *, strict: bool = True) 
     return msgspec.convert(nested, kind, dec_hook=_array)
 
 
-def read_arrays(path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf") -> dict[str, Array]:
+def read_arrays(
+    path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf"
+) -> dict[str, Array]:
     """Every array of any ``.npz`` file in the file's order; `kinds` are the accepted kinds of `numpy.dtype`. Raises
     OSError, and DecodeError if the file is damaged, of another kind, or, packed or not, larger than `bytes_max`.
     """
@@ -139,7 +152,9 @@ def numbers(arrays: Mapping[str, Array], key: str, dimensions: int, *, nan: bool
         raise DecodeError(f"{key}: found NaN, expected numbers")
     extremes = [float(each.reduce(array, axis=None)) for each in (np.fmin, np.fmax) if array.size]
     if wrong := [value for value in extremes if abs(value) > NUMBER_MAX]:
-        raise DecodeError(f"{key}: found {wrong[0]:g}, expected numbers from -{NUMBER_MAX:g} to {NUMBER_MAX:g}")
+        raise DecodeError(
+            f"{key}: found {wrong[0]:g}, expected numbers from -{NUMBER_MAX:g} to {NUMBER_MAX:g}"
+        )
     return array
 
 
@@ -179,7 +194,10 @@ def _crc32(meta: bytes, arrays: Mapping[str, Any]) -> int:
 
 def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
     """A member, of which no more is inflated than its stated size. Raises one of `_DAMAGE`."""
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # zipfile inflates the others whole
+    if entry.compress_type not in (
+        zipfile.ZIP_STORED,
+        zipfile.ZIP_DEFLATED,
+    ):  # zipfile inflates the others whole
         raise ValueError("another compression")
     with archive.open(entry) as member:
         return member.read(entry.file_size + 1)

@@ -60,7 +60,12 @@ def framed(picture: U8, x: Axis | None, y: Axis, title: str = "") -> U8:
         text = f"{value:g}"
         _write(paper, text, place[0] - _width_px(text) // 2, place[1] + _TICK_PX + 12)
     if x:
-        _write(paper, x.label, LEFT_PX + (cols - _width_px(x.label)) // 2, TOP_PX + rows + BOTTOM_PX - 5)
+        _write(
+            paper,
+            x.label,
+            LEFT_PX + (cols - _width_px(x.label)) // 2,
+            TOP_PX + rows + BOTTOM_PX - 5,
+        )
     for value, at_px in ticks(y, rows):
         row, text = TOP_PX + round(at_px), f"{value:g}"
         cv2.line(paper, (LEFT_PX - 1, row), (LEFT_PX - 1 - _TICK_PX, row), _BLACK, 1)
@@ -100,7 +105,9 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     pictures = np.hstack(
         [
             framed(left, Axis("col (px)"), Axis("row (px)")),
-            framed(right, Axis("x (mm)", -disc.col_c * mm, mm), Axis("y (mm)", -disc.row_c * mm, mm)),
+            framed(
+                right, Axis("x (mm)", -disc.col_c * mm, mm), Axis("y (mm)", -disc.row_c * mm, mm)
+            ),
             colour_bar(rows, top, "h (mm)"),
         ]
     )
@@ -120,10 +127,21 @@ class Tile:
 def tile(name: str, image: U8, result: Reconstruction) -> Tile:
     """The tile of an image, uint8 (H, W) or (H, W, 3) BGR."""
     grey, (rows, cols) = image.ndim == 2, image.shape[:2]
-    small = cv2.resize(image, (TILE_PX, max(round(rows * TILE_PX / cols), 1)), interpolation=cv2.INTER_AREA)
-    found = f"{result.depth_max_mm:.2f} mm" if result.contact else code_of(result.reason) or "no contact"
+    small = cv2.resize(
+        image, (TILE_PX, max(round(rows * TILE_PX / cols), 1)), interpolation=cv2.INTER_AREA
+    )
+    found = (
+        f"{result.depth_max_mm:.2f} mm"
+        if result.contact
+        else code_of(result.reason) or "no contact"
+    )
     text = f"{name[-24:]}: {found}"
-    return Tile(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if grey else small, result.height, (cols, rows), text)
+    return Tile(
+        cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if grey else small,
+        result.height,
+        (cols, rows),
+        text,
+    )
 
 
 def contact_sheet(tiles: Sequence[Tile]) -> U8:
@@ -132,14 +150,26 @@ def contact_sheet(tiles: Sequence[Tile]) -> U8:
     drawn, tallest = [], max(len(each.thumbnail) for each in tiles)
     for each in tiles:
         rows, cols = each.thumbnail.shape[:2]
-        map_ = cv2.resize(_coloured(each.height, each.image_size_px, top), (cols, rows), interpolation=cv2.INTER_AREA)
+        map_ = cv2.resize(
+            _coloured(each.height, each.image_size_px, top),
+            (cols, rows),
+            interpolation=cv2.INTER_AREA,
+        )
         whole = _with_legend(np.hstack([each.thumbnail, map_]), each.text)
-        drawn.append(cv2.copyMakeBorder(whole, 0, 4 + tallest - rows, 0, 4, cv2.BORDER_CONSTANT, value=_WHITE))
+        drawn.append(
+            cv2.copyMakeBorder(
+                whole, 0, 4 + tallest - rows, 0, 4, cv2.BORDER_CONSTANT, value=_WHITE
+            )
+        )
     drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % SHEET_COLUMNS)
-    sheet = np.vstack([np.hstack(drawn[k : k + SHEET_COLUMNS]) for k in range(0, len(drawn), SHEET_COLUMNS)])
+    sheet = np.vstack(
+        [np.hstack(drawn[k : k + SHEET_COLUMNS]) for k in range(0, len(drawn), SHEET_COLUMNS)]
+    )
     bar = colour_bar(min(sheet.shape[0] - TOP_PX - BOTTOM_PX, 300), top, "h (mm)")
     below = sheet.shape[0] - bar.shape[0]
-    return np.hstack([sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)])
+    return np.hstack(
+        [sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)]
+    )
 
 
 def reference_picture(
@@ -153,18 +183,35 @@ def reference_picture(
     """
     zoom = max(1, SEEN_PX // max(grey.shape))
     picture = cv2.resize(
-        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST
+        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR),
+        None,
+        fx=zoom,
+        fy=zoom,
+        interpolation=cv2.INTER_NEAREST,
     )
     text = "no circle found: state visible_circle in SENSOR.yaml"
     if calibration is not None:
-        white = cv2.resize(calibration.reference_white, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
-        outlines, _ = cv2.findContours((white > 127).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        white = cv2.resize(
+            calibration.reference_white, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST
+        )
+        outlines, _ = cv2.findContours(
+            (white > 127).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
+        )
         cv2.drawContours(picture, outlines, -1, (90, 200, 90), 1)
     if disc := calibration.geometry.disc if calibration else guess:
         middle = round((disc.col_c + 0.5) * zoom), round((disc.row_c + 0.5) * zoom)
-        cv2.circle(picture, middle, round(disc.radius_px * zoom), _FOUND, 2 if calibration else 1, cv2.LINE_AA)
+        cv2.circle(
+            picture,
+            middle,
+            round(disc.radius_px * zoom),
+            _FOUND,
+            2 if calibration else 1,
+            cv2.LINE_AA,
+        )
         cv2.drawMarker(picture, middle, _FOUND, cv2.MARKER_CROSS, 12, 2)
-        text = f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px"
+        text = (
+            f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px"
+        )
     if calibration is None:
         text = f"uncertain {text}; state visible_circle in SENSOR.yaml" if guess else text
     else:
@@ -183,14 +230,18 @@ def height_png(height_mm: F32) -> bytes:
     top = max(float(np.nanmax(height_mm, initial=0.0)), 0.1)
     picture = _colours(height_mm, 0.0, top, 255).repeat(3, axis=0).repeat(3, axis=1)
     padded = cv2.copyMakeBorder(picture, TOP_PX, BOTTOM_PX, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)
-    return bytes(cv2.imencode(".png", np.hstack([padded, colour_bar(len(picture), top, "h (mm)")]))[1])
+    return bytes(
+        cv2.imencode(".png", np.hstack([padded, colour_bar(len(picture), top, "h (mm)")]))[1]
+    )
 
 
 def preview(raster: Raster) -> U8:
     """A stitched map seen from above, y upwards: heights in colours, grey where nothing was touched; axes in mm."""
     low, high = height_span_mm(raster.z_mm)
     rows, cols = raster.z_mm.shape
-    stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))  # a subset of cells is enough for a large map
+    stride = max(
+        1, max(rows, cols) // (2 * PREVIEW_PX)
+    )  # a subset of cells is enough for a large map
     z = raster.z_mm[::stride, ::stride]
     picture = _colours(z, low, max(high, low + 0.1), _UNTOUCHED_GREY)
     if max(z.shape) > PREVIEW_PX:
@@ -198,11 +249,17 @@ def preview(raster: Raster) -> U8:
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     zoom = max(1, PREVIEW_PX // max(z.shape))
     picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
-    down_mm, along_mm = (n * raster.step_mm / px for n, px in zip((rows, cols), picture.shape[:2], strict=True))
+    down_mm, along_mm = (
+        n * raster.step_mm / px for n, px in zip((rows, cols), picture.shape[:2], strict=True)
+    )
     x = Axis("x (mm)", raster.x0_mm + (along_mm - raster.step_mm) / 2, along_mm)
     y = Axis("y (mm)", raster.y0_mm + (rows - 0.5) * raster.step_mm - down_mm / 2, -down_mm)
     size_mm = f"{cols * raster.step_mm:.0f} x {rows * raster.step_mm:.0f} mm"
-    text = f"{size_mm}, colours {low:.2f} to {high:.2f} mm" if low < high else f"{size_mm}, nothing touched"
+    text = (
+        f"{size_mm}, colours {low:.2f} to {high:.2f} mm"
+        if low < high
+        else f"{size_mm}, nothing touched"
+    )
     return _with_legend(framed(picture, x, y), text)
 
 
@@ -223,8 +280,12 @@ def _colours(values: F32, low: float, high: float, elsewhere: int) -> U8:
 def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
     """A map over an image of `size` (width, height): colours from 0 to `top` mm, contact outlined, white outside."""
     level = np.nan_to_num(np.clip(height.height_mm / top, 0, 1) * 255).astype(np.uint8)
-    picture = np.asarray(cv2.applyColorMap(_over_image(level, height, size, cv2.INTER_LINEAR), _COLOURS), np.uint8)
-    seen = _over_image(np.isfinite(height.height_mm).astype(np.uint8), height, size, cv2.INTER_NEAREST)
+    picture = np.asarray(
+        cv2.applyColorMap(_over_image(level, height, size, cv2.INTER_LINEAR), _COLOURS), np.uint8
+    )
+    seen = _over_image(
+        np.isfinite(height.height_mm).astype(np.uint8), height, size, cv2.INTER_NEAREST
+    )
     picture[seen == 0] = 255
     touched = _over_image(height.contact.astype(np.uint8), height, size, cv2.INTER_NEAREST)
     outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -235,7 +296,9 @@ def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
 def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
     """The values of a map's cells resampled to an image of `size` (width, height); 0 outside the map."""
     to_cell = np.array(((1, 0, -grid.col0), (0, 1, -grid.row0))) / grid.step_px
-    return np.asarray(cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8
+    )
 
 
 def _with_legend(picture: U8, text: str) -> U8:

@@ -24,7 +24,13 @@ from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_wh
 from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
 
-HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = "heights.bin", "clouds.bin", "shears.bin", "summary.json", "timings.json"
+HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS = (
+    "heights.bin",
+    "clouds.bin",
+    "shears.bin",
+    "summary.json",
+    "timings.json",
+)
 _ENCODERS = {HEIGHTS: wire.encode_height, CLOUDS: wire.encode_cloud, SHEARS: wire.encode_shear}
 _PAYLOAD_BYTES_AT = 84
 _SUMMARY_BYTES_MAX = 1 << 28
@@ -59,10 +65,15 @@ class RunWriter:
                 if name == SHEARS and result.shear_mm is None:
                     continue
                 payload = encode(
-                    result, calibration_crc32=self._crc32, pose=frame.pose, pose_error_us=frame.pose_error_us
+                    result,
+                    calibration_crc32=self._crc32,
+                    pose=frame.pose,
+                    pose_error_us=frame.pose_error_us,
                 )
                 self._streams[name].write(payload)
-        pose = frame.pose and [getattr(frame.pose, key) for key in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")]
+        pose = frame.pose and [
+            getattr(frame.pose, key) for key in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+        ]
         about = {"image": recorded.name, "seq": result.seq, "t_ns": result.t_ns}
         self._records.append({**about, **summary(result), "pose": pose})
 
@@ -73,7 +84,9 @@ class RunWriter:
                 stream.flush()
                 os.fsync(stream.fileno())
                 stream.close()
-            lines = ",\n".join(json.dumps(record) for record in self._records)  # one line per record, for diff and grep
+            lines = ",\n".join(
+                json.dumps(record) for record in self._records
+            )  # one line per record, for diff and grep
             for name in _ENCODERS:
                 part(self._folder / name).replace(self._folder / name)
             write_whole(self._folder / TIMINGS, (json.dumps(timings, indent=2) + "\n").encode())
@@ -98,7 +111,9 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
     try:
         records = json.loads(read_regular(path, _SUMMARY_BYTES_MAX))
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a run written by `replay --out`") from None
+        raise ConfigError(
+            f"{path}: {error.strerror or error}, expected a run written by `replay --out`"
+        ) from None
     except (ValueError, RecursionError) as error:
         raise DecodeError(
             f"{path}: the file is not valid JSON: {error}; expected a run written by `replay --out`"
@@ -121,13 +136,19 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
                 size = int.from_bytes(head[_PAYLOAD_BYTES_AT : _PAYLOAD_BYTES_AT + 4], "little")
                 if size > wire.PAYLOAD_BYTES_MAX:
                     at = f"{path}, byte {stream.tell() - len(head) + _PAYLOAD_BYTES_AT}"
-                    raise DecodeError(f"{at}: found {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}")
+                    raise DecodeError(
+                        f"{at}: found {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}"
+                    )
                 body = stream.read(size)
                 if len(head) < wire.HEADER_BYTES or len(body) < size:
-                    raise DecodeError(f"{path}: cut short after {stream.tell()} bytes, expected a whole run")
+                    raise DecodeError(
+                        f"{path}: cut short after {stream.tell()} bytes, expected a whole run"
+                    )
                 yield head + body
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a run written by `replay --out`") from None
+        raise ConfigError(
+            f"{path}: {error.strerror or error}, expected a run written by `replay --out`"
+        ) from None
 
 
 def summary(result: Reconstruction) -> dict[str, Any]:
@@ -174,7 +195,9 @@ def first_difference(folder: Path, against: Path) -> str:
             one, two = next(mine, None), next(theirs, None)
             for run, payload in zip(runs, (one, two), strict=True):
                 if payload is None:
-                    raise DecodeError(f"{run / name}: found {index} payloads, expected {len(read_summary(run))}")
+                    raise DecodeError(
+                        f"{run / name}: found {index} payloads, expected {len(read_summary(run))}"
+                    )
             if not found and one is not None and two is not None and one != two:
                 found = f"{name}: {_difference(_values(one), _values(two)) or 'the bytes differ where no field is'}"
         if found:
@@ -209,10 +232,14 @@ def figures(folder: Path, against: Path) -> list[str]:
         return []
     places = [f"frame {k} ({one.get('image')})" for k, (one, _) in enumerate(pairs)]
     changed = [
-        place for place, (one, two) in zip(places, pairs, strict=True) if one.get("contact") != two.get("contact")
+        place
+        for place, (one, two) in zip(places, pairs, strict=True)
+        if one.get("contact") != two.get("contact")
     ]
     first = f", first {changed[0]}" if changed else ""
-    depths_mm = np.array([[one.get("depth_max_mm", 0.0), two.get("depth_max_mm", 0.0)] for one, two in pairs], float)
+    depths_mm = np.array(
+        [[one.get("depth_max_mm", 0.0), two.get("depth_max_mm", 0.0)] for one, two in pairs], float
+    )
     apart_mm = np.abs(depths_mm[:, 0] - depths_mm[:, 1])
     worst = int(np.argmax(apart_mm))
     return [

@@ -60,13 +60,17 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
     """Start a process for each usable core, or, if `fresh`, for each job. Raises DeviceError (a process was killed)."""
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
     reuse = 1 if fresh else None
-    pool = ProcessPoolExecutor(usable_cores(), mp_context=context, initializer=_start, max_tasks_per_child=reuse)
+    pool = ProcessPoolExecutor(
+        usable_cores(), mp_context=context, initializer=_start, max_tasks_per_child=reuse
+    )
     before, complete = multiprocessing.active_children(), False
     try:
         yield pool
         complete = True
     except BrokenProcessPool:
-        raise DeviceError("the system killed a worker process, perhaps because memory ran out") from None
+        raise DeviceError(
+            "the system killed a worker process, perhaps because memory ran out"
+        ) from None
     finally:
         if not complete:  # nobody needs the unfinished jobs
             for worker in multiprocessing.active_children():
@@ -77,7 +81,11 @@ def processes(*, fresh: bool = False) -> Iterator[Workers]:
 
 
 def reported_map(
-    function: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, report: Report, what: str
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: Workers,
+    report: Report,
+    what: str,
 ) -> Iterator[Result]:
     """Yield the results of ``workers.map`` and report progress."""
     report(what, 0, len(tasks))

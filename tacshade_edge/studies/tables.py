@@ -45,7 +45,10 @@ def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     left = sum(name in _WORDS for name in header)
 
     def row(cells: Sequence[str]) -> str:
-        padded = (c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(cells, widths, strict=True)))
+        padded = (
+            c.ljust(w) if k < left else c.rjust(w)
+            for k, (c, w) in enumerate(zip(cells, widths, strict=True))
+        )
         return f"| {' | '.join(padded)} |"
 
     rule = [":" + "-" * (w - 1) if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
@@ -85,7 +88,9 @@ def without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def new_figure(rows: int, columns: int, width: float, height: float, dpi: int = 100) -> tuple[Any, Any]:
+def new_figure(
+    rows: int, columns: int, width: float, height: float, dpi: int = 100
+) -> tuple[Any, Any]:
     """A figure of a size in inches, and its axes (rows, columns) with a light grid."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

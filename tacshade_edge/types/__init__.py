@@ -37,7 +37,38 @@ from tacshade_edge.types.reconstruction import (
     TouchedObject,
 )
 
-__all__ = ["F32", "F64", "I32", "I64", "IDENTITY_POSE", "U8", "U16", "Bool", "Disc", "Frame", "Geometry", "Pose"]
-__all__ += ["Binarisation", "Calibration", "Fit", "FittedNetwork", "Polarity", "ProfileFit", "freeze", "frozen"]
-__all__ += ["QUANTITIES", "TOUCH_ARRAYS", "HeightMap", "Need", "ObjectCloud", "Reconstruction", "Slip", "TouchModel"]
+__all__ = [
+    "F32",
+    "F64",
+    "I32",
+    "I64",
+    "IDENTITY_POSE",
+    "U8",
+    "U16",
+    "Bool",
+    "Disc",
+    "Frame",
+    "Geometry",
+    "Pose",
+]
+__all__ += [
+    "Binarisation",
+    "Calibration",
+    "Fit",
+    "FittedNetwork",
+    "Polarity",
+    "ProfileFit",
+    "freeze",
+    "frozen",
+]
+__all__ += [
+    "QUANTITIES",
+    "TOUCH_ARRAYS",
+    "HeightMap",
+    "Need",
+    "ObjectCloud",
+    "Reconstruction",
+    "Slip",
+    "TouchModel",
+]
 __all__ += ["Touch", "TouchedObject"]

@@ -70,7 +70,9 @@ class FittedNetwork:
     error_mm: float
     shipped_error_mm: float
     factor: Positive = 1.0  # on h
-    error_scale: Positive | None = None  # factor on σ, measured on those presses (`core.depth.sigma`)
+    error_scale: Positive | None = (
+        None  # factor on σ, measured on those presses (`core.depth.sigma`)
+    )
 
     def __post_init__(self) -> None:
         freeze(self, "weights")
@@ -91,15 +93,18 @@ class TouchModel:
     scale: Positive  # length of a standardised feature vector whose coordinates have length 1
     spread: F32  # (m,) standard deviation of each coordinate over the table, descending
     origin: F32  # (m,) coordinates of the untouched skin
-    metric: (
-        F32  # (2 m, n) coordinates and their ratios to the directions in which the quantities change (older: m rows)
-    )
-    gate_part: Annotated[float, Meta(ge=0, le=1)]  # part of the picture from whose change on the model answers
+    metric: F32
+    """(2 m, n) coordinates and their ratios to the directions in which the quantities change (older: m rows)."""
+    gate_part: Annotated[
+        float, Meta(ge=0, le=1)
+    ]  # part of the picture from whose change on the model answers
     centres: F32  # (M, n)
     width: Positive  # of the squared-exponential kernel
     basis: F32  # (n + M, K): kernel values to the basis functions that vary most and are uncorrelated over the table
     weights: F32  # (n + M, Q) of the kernel values in each quantity's mean
-    precision: F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
+    precision: (
+        F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
+    )
     ridge: F32  # (Q,) regularisation
     offset: F32  # (Q,) mean over the table
     noise: F32  # (Q,) standard deviation of a label about the model
@@ -107,8 +112,12 @@ class TouchModel:
     high: F32  # (Q,) greatest label of the table
     leverage_max: Positive  # a frame is unlike the table's beyond this `leverage` of its coordinates, or beyond this
     residual_max: Positive  # share of its standardised features that the components leave out
-    imprint_weights: F32  # (T, I): terms of the predicted quantities to their imprint (`core.touch.answer`)
-    imprint_precision: F32  # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I
+    imprint_weights: (
+        F32  # (T, I): terms of the predicted quantities to their imprint (`core.touch.answer`)
+    )
+    imprint_precision: (
+        F32  # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I
+    )
     imprint_max: Positive  # greatest squared distance of an imprint; beyond it an object is unlike the table's
 
     def __post_init__(self) -> None:
@@ -118,16 +127,22 @@ class TouchModel:
         for name, letters in _TOUCH_SHAPES.items():
             array: F32 = getattr(self, name)
             if array.dtype != np.float32 or not array.size or array.ndim != len(letters):
-                raise ValueError(f"touch model: {name} is {array.dtype} {array.shape}, expected float32 {letters}")
+                raise ValueError(
+                    f"touch model: {name} is {array.dtype} {array.shape}, expected float32 {letters}"
+                )
             if not np.isfinite(array).all():
                 raise ValueError(f"touch model: {name} has a value that is not finite")
             for letter, size in zip(letters, array.shape, strict=True):
                 if sizes.setdefault(letter, size) != size:
-                    raise ValueError(f"touch model: {name} is {array.shape}, which does not fit the other arrays")
+                    raise ValueError(
+                        f"touch model: {name} is {array.shape}, which does not fit the other arrays"
+                    )
         quantities = sizes["Q"]
         known = sizes["+"] == sizes["n"] + sizes["M"] and sizes["2"] in (sizes["m"], 2 * sizes["m"])
         if not known or sizes["T"] != (quantities + 1) * (quantities + 2) // 2:
-            raise ValueError(f"touch model: found the sizes {sizes}, expected some that fit each other")
+            raise ValueError(
+                f"touch model: found the sizes {sizes}, expected some that fit each other"
+            )
         positive = (self.deviation, self.spread, self.noise, self.ridge)
         if min(array.min() for array in positive) <= 0 or (self.precision < 0).any():
             raise ValueError("touch model: a deviation is not above 0")
@@ -136,7 +151,15 @@ class TouchModel:
 _TOUCH_SHAPES = {
     **{"mean": "D", "deviation": "D", "components": "Dm", "spread": "m", "origin": "m"},
     **{"metric": "2n", "centres": "Mn", "basis": "+K"},
-    **{"weights": "+Q", "precision": "KQ", "ridge": "Q", "offset": "Q", "noise": "Q", "low": "Q", "high": "Q"},
+    **{
+        "weights": "+Q",
+        "precision": "KQ",
+        "ridge": "Q",
+        "offset": "Q",
+        "noise": "Q",
+        "low": "Q",
+        "high": "Q",
+    },
     **{"imprint_weights": "TI", "imprint_precision": "II"},
 }  # a letter for each size, as in `TouchModel`; + for n + M, 2 for 2 m
 TOUCH_ARRAYS = tuple(_TOUCH_SHAPES)
@@ -148,20 +171,38 @@ class Calibration:
 
     geometry: Geometry
     polarity: Polarity  # bright when contact raises the white ratio
-    binarisation: Binarisation  # method that made `reference_white`; frames must be binarised the same way
+    binarisation: (
+        Binarisation  # method that made `reference_white`; frames must be binarised the same way
+    )
     image_height_px: int  # of every frame
     image_width_px: int
     pitch_px: Size  # of the markers at the middle of the disc
     reference_white: U8  # (H, W), 255 times the mean of the references' binarised images; g0 is its box mean (eq. 1)
-    reference_grey: U8  # (H, W), mean of the references' images: the light, and the surround that must not move
-    noise_grey: Annotated[float, Meta(ge=0, le=255)]  # RMS of g between the references (eq. 1), grey levels
-    alpha: Annotated[float, Meta(ge=0, lt=_MOST)]  # the paper's α: depth of a normalised height of 1, in px
-    factors: Mapping[str, Size] = field(default_factory=dict)  # on h, of each profile refitted to presses
+    reference_grey: (
+        U8  # (H, W), mean of the references' images: the light, and the surround that must not move
+    )
+    noise_grey: Annotated[
+        float, Meta(ge=0, le=255)
+    ]  # RMS of g between the references (eq. 1), grey levels
+    alpha: Annotated[
+        float, Meta(ge=0, lt=_MOST)
+    ]  # the paper's α: depth of a normalised height of 1, in px
+    factors: Mapping[str, Size] = field(
+        default_factory=dict
+    )  # on h, of each profile refitted to presses
     fit: Fit | None = None
-    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)  # by profile, with its own factor
-    error_scales: Mapping[str, Size] = field(default_factory=dict)  # on σ, of shipped networks measured on presses
-    touch: Mapping[str, TouchModel] = field(default_factory=dict)  # by profile (``calibrate --labels``)
-    flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = IDENTITY_POSE
+    fitted: Mapping[str, FittedNetwork] = field(
+        default_factory=dict
+    )  # by profile, with its own factor
+    error_scales: Mapping[str, Size] = field(
+        default_factory=dict
+    )  # on σ, of shipped networks measured on presses
+    touch: Mapping[str, TouchModel] = field(
+        default_factory=dict
+    )  # by profile (``calibrate --labels``)
+    flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = (
+        IDENTITY_POSE
+    )
     crc32: int = 0  # of the stored content; 0 until it is stored
 
     def __post_init__(self) -> None:
@@ -180,7 +221,13 @@ def require_bounds(record: Any) -> None:
     kind: Any = type(record)  # mypy takes no type for hashable
     for name, bounds in _bounds(kind).items():
         given = getattr(record, name)
-        values = given.values() if isinstance(given, Mapping) else given if isinstance(given, tuple) else (given,)
+        values = (
+            given.values()
+            if isinstance(given, Mapping)
+            else given
+            if isinstance(given, tuple)
+            else (given,)
+        )
         for value in values:
             if value is not None and not all(
                 (each.gt is None or value > each.gt)
@@ -200,4 +247,8 @@ def _bounds(kind: type) -> dict[str, tuple[Meta, ...]]:
 
 
 def _metas(hint: Any) -> list[Meta]:
-    return [hint] if isinstance(hint, Meta) else [meta for part in get_args(hint) for meta in _metas(part)]
+    return (
+        [hint]
+        if isinstance(hint, Meta)
+        else [meta for part in get_args(hint) for meta in _metas(part)]
+    )

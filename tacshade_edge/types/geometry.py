@@ -70,7 +70,9 @@ class Frame:
     wall_ns: int  # the same instant as Unix time, for metadata only
     image: U8
     pose: Pose | None = None  # ``base_T_flange`` at `t_ns`, if known
-    pose_error_us: int = 0  # greatest difference between `t_ns` and the pose's time; 0 without a pose
+    pose_error_us: int = (
+        0  # greatest difference between `t_ns` and the pose's time; 0 without a pose
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,11 @@ class Geometry:
             return 0.0
         theta = math.radians(self.visible_half_angle_deg)
         r = self.skin_radius_mm
-        return self.disc.radius_px * (r * math.cos(theta) + self.camera_distance_mm) / (r * math.sin(theta))
+        return (
+            self.disc.radius_px
+            * (r * math.cos(theta) + self.camera_distance_mm)
+            / (r * math.sin(theta))
+        )
 
     @property
     def mm_per_px(self) -> float:

@@ -12,7 +12,17 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types.geometry import F32, U16, Bool, frozen
 
 QUANTITIES = (
-    *("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg", "x_mm", "y_mm", "edge_deg"),
+    *(
+        "depth_mm",
+        "tilt_x_deg",
+        "tilt_y_deg",
+        "shear_x_mm",
+        "shear_y_mm",
+        "twist_deg",
+        "x_mm",
+        "y_mm",
+        "edge_deg",
+    ),
     *("force_x_n", "force_y_n", "force_z_n", "torque_x_nmm", "torque_y_nmm", "torque_z_nmm"),
 )
 """Columns of LABELS.csv; the first six are also known without labels."""
@@ -122,7 +132,9 @@ class Reconstruction:
     # outside the disc, 0 without contact.
     shear_mm: F32 | None = None
     sigma_mm: F32 | None = None  # (rows, cols), standard deviation of `height` in contact, else NaN
-    untrusted: Bool | None = None  # (rows, cols): cells that do not show the sensor's skin, never contact
+    untrusted: Bool | None = (
+        None  # (rows, cols): cells that do not show the sensor's skin, never contact
+    )
     touch: Touch | None = None  # none also if nobody requested it
 
     @property

@@ -21,12 +21,18 @@ from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience, wait_until
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
-pytest.importorskip("foxglove_schemas_protobuf", reason="Foxglove's published schemas are not installed")
-client = pytest.importorskip("websockets.sync.client", reason="the extra dashboard is not installed")
+pytest.importorskip(
+    "foxglove_schemas_protobuf", reason="Foxglove's published schemas are not installed"
+)
+client = pytest.importorskip(
+    "websockets.sync.client", reason="the extra dashboard is not installed"
+)
 foxglove = pytest.importorskip("tacshade_edge.bridge.foxglove")
 viewers = pytest.importorskip("tacshade_edge.bridge.viewers")
 
-INFO = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
+INFO = messages.encode_info(
+    version="0", config_digest="0", profile="fast", calibration=calibration()
+)
 NUMBERS = ("0", "-1", "1e-300", "1e308", "1e999", "1" + "0" * 400, "null", '"x"', "[]")
 
 
@@ -120,7 +126,10 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
     with viewer(bridge.url) as seen:
         seen.subscribe("tf", "skin")
         wait_until(lambda: bridge.streams() >= {"height"}, 10, "watched")
-        bridge.hear("height", wire.encode_height(bump(6, 0.0, 236.0, 328.0, step_px=4), calibration_crc32=CRC))
+        bridge.hear(
+            "height",
+            wire.encode_height(bump(6, 0.0, 236.0, 328.0, step_px=4), calibration_crc32=CRC),
+        )
         rest, placed = seen.until("skin", "tf")
         points_mm = vertices_mm(rest)
         assert len(points_mm) > 500
@@ -133,14 +142,22 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
         seen.subscribe(*streams, "log", "/tacshade/bridge")
         wait_until(lambda: bridge.streams() >= {*streams, "state"}, 10, "watched")
         bridge.hear("state", b"degraded")
-        seen.until("log", found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded"))
+        seen.until(
+            "log",
+            found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded"),
+        )
         height = wire.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
         contact = messages.encode_contact(press, fps=30.0)
-        touch = messages.encode_touch(replace(press, touch=Touch({"twist_deg": -2.5}, {"twist_deg": 0.5})))
+        touch = messages.encode_touch(
+            replace(press, touch=Touch({"twist_deg": -2.5}, {"twist_deg": 0.5}))
+        )
         bridge.hear("height", height)
         bridge.hear("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
         bridge.hear("contact", contact)
-        bridge.hear("touch", b'{"seq":7,"t_ns":0,"touch":{"twist_deg":1e300},"touch_sigma":{"twist_deg":0.5}}')
+        bridge.hear(
+            "touch",
+            b'{"seq":7,"t_ns":0,"touch":{"twist_deg":1e300},"touch_sigma":{"twist_deg":0.5}}',
+        )
         bridge.hear("touch", touch)
         image, cloud, reported, numbers = seen.until(*streams)
         expected = wire.decode(height)
@@ -148,22 +165,35 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
         assert (image.encoding, image.frame_id) == ("32FC1", "drawn/sensor")
         assert (image.height, image.width, image.step) == (120, 160, 640)
         assert image.timestamp.ToNanoseconds() == press.wall_ns
-        np.testing.assert_array_equal(np.frombuffer(image.data, "<f4").reshape(120, 160), expected.height_mm)
-        assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8), ("object", 12)]
+        np.testing.assert_array_equal(
+            np.frombuffer(image.data, "<f4").reshape(120, 160), expected.height_mm
+        )
+        assert [(f.name, f.offset) for f in cloud.fields] == [
+            ("x", 0),
+            ("y", 4),
+            ("z", 8),
+            ("object", 12),
+        ]
         points = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("object", "<u2")])
         np.testing.assert_allclose(points["xyz"], press.cloud.points_mm / 1000, rtol=1e-6)
         np.testing.assert_array_equal(points["object"], press.cloud.labels)
         assert (reported, numbers) == (json.loads(contact), json.loads(touch))
         bridge.hear("height", height)  # what came with the first was read above
-        (robot,) = seen.until("tf", found=lambda tf: tf.transforms[0].parent_frame_id == "drawn/base")
+        (robot,) = seen.until(
+            "tf", found=lambda tf: tf.transforms[0].parent_frame_id == "drawn/base"
+        )
         (moved,) = robot.transforms
         assert (moved.translation.x, moved.translation.y, moved.translation.z) == (0.1, -0.02, 0.3)
         bridge.hear("height", wire.encode_height(later, calibration_crc32=CRC))
         (pressed,) = seen.until("skin", found=lambda skin: least_radius_mm(skin) < 19)
-        assert least_radius_mm(pressed) == pytest.approx(18.0, abs=0.05)  # its corners lie beside the deepest point
+        assert least_radius_mm(pressed) == pytest.approx(
+            18.0, abs=0.05
+        )  # its corners lie beside the deepest point
         bridge.hear("state", b"online", "no sensor")
         bridge.streams()
-        seen.until("/tacshade/bridge", found=lambda it: (it["undecodable"], it["unknown_topic"]) == (1, 1))
+        seen.until(
+            "/tacshade/bridge", found=lambda it: (it["undecodable"], it["unknown_topic"]) == (1, 1)
+        )
 
 
 def test_only_what_is_watched_is_asked_for(bridge: Bridge) -> None:
@@ -202,15 +232,25 @@ def test_a_viewer_that_reads_nothing_is_bounded_and_no_other_waits_for_it() -> N
 def hostile_infos() -> Iterator[bytes]:
     """Geometries that no sensor has."""
     info = json.loads(INFO)
-    for key in ("radius_px", "skin_radius_mm", "visible_half_angle_deg", "row_c", "camera_distance_mm"):
+    for key in (
+        "radius_px",
+        "skin_radius_mm",
+        "visible_half_angle_deg",
+        "row_c",
+        "camera_distance_mm",
+    ):
         for number in NUMBERS:
             changed = {**info, "geometry": {**info["geometry"], key: "?"}}
             yield json.dumps(changed).replace('"?"', number).encode()
-    yield json.dumps({**info, "geometry": {**info["geometry"], "flange_T_sensor": [0.0] * 7}}).encode()
+    yield json.dumps(
+        {**info, "geometry": {**info["geometry"], "flange_T_sensor": [0.0] * 7}}
+    ).encode()
     yield from (b"{", b"[]", b"\xff", b"[" * 60_000, b"{}", b"0")
 
 
-def test_the_real_sensor_is_shown_among_what_no_daemon_publishes(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_real_sensor_is_shown_among_what_no_daemon_publishes(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     bridge = Bridge()
     for number, payload in enumerate(hostile_infos()):
         bridge.hear("info", payload, f"bad{number}")
@@ -223,7 +263,9 @@ def test_the_real_sensor_is_shown_among_what_no_daemon_publishes(caplog: pytest.
     with viewer(bridge.url) as seen:
         seen.subscribe("height")
         wait_until(lambda: bridge.streams() == {"height"}, 10, "watched")
-        bridge.hear("height", wire.encode_height(bump(1, 1.0, 236.0, 328.0, 8), calibration_crc32=CRC))
+        bridge.hear(
+            "height", wire.encode_height(bump(1, 1.0, 236.0, 328.0, 8), calibration_crc32=CRC)
+        )
         assert seen.until("height")[0].frame_id == "drawn/sensor"
         assert len(seen.channels) < 400
     bridge.stop()

@@ -15,7 +15,9 @@ from support.published_sensor import PublishedSensor, health
 from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience, wait_until
 
-parser = pytest.importorskip("prometheus_client.parser", reason="the extra prometheus is not installed")
+parser = pytest.importorskip(
+    "prometheus_client.parser", reason="the extra prometheus is not installed"
+)
 
 prometheus = pytest.importorskip("tacshade_edge.bridge.prometheus")
 
@@ -57,7 +59,9 @@ def test_what_is_exposed_of_a_sensor() -> None:
     assert got["tacshade_up"] == got["tacshade_state online"] == 1
     assert got["tacshade_state offline"] == 0
     outcomes = {k: v for k, v in got.items() if k.startswith("tacshade_frames_total ")}
-    assert sum(outcomes.values()) + got["tacshade_frames_pending"] == said["frames"]["captured"] == 3
+    assert (
+        sum(outcomes.values()) + got["tacshade_frames_pending"] == said["frames"]["captured"] == 3
+    )
     assert outcomes["tacshade_frames_total invalid"] == 1
     assert got["tacshade_source_dropped_total"] == 4
     assert got["tacshade_latency_seconds 99"] == pytest.approx(said["latency_ms"]["p99"] / 1000)
@@ -65,7 +69,11 @@ def test_what_is_exposed_of_a_sensor() -> None:
     assert got["tacshade_mqtt_total published"] == 9
     assert got["tacshade_recorder_frames_total written"] == 5
     sensors.hear("tacshade/left/state", b"offline", False)
-    assert {name.split()[0] for name in exposed()} == {"tacshade_up", "tacshade_state", "tacshade_bridge_refused_total"}
+    assert {name.split()[0] for name in exposed()} == {
+        "tacshade_up",
+        "tacshade_state",
+        "tacshade_bridge_refused_total",
+    }
     assert exposed()["tacshade_up"] == 0
 
 
@@ -73,10 +81,14 @@ def test_a_silent_sensor_reports_no_numbers() -> None:
     now_s = 100.0
     sensors = prometheus.SensorMetrics([], lambda: now_s)
     sensors.hear("tacshade/left/health", health(), False)
-    assert "tacshade_capture_fps" in {sample.name for family in sensors.collect() for sample in family.samples}
+    assert "tacshade_capture_fps" in {
+        sample.name for family in sensors.collect() for sample in family.samples
+    }
     now_s += prometheus.FRESH_S + 0.1
     assert up_of(sensors) == {"left": 0}
-    assert "tacshade_capture_fps" not in {sample.name for family in sensors.collect() for sample in family.samples}
+    assert "tacshade_capture_fps" not in {
+        sample.name for family in sensors.collect() for sample in family.samples
+    }
 
 
 def up_of(sensors: Any) -> dict[str, float]:
@@ -106,7 +118,12 @@ def test_real_hands_come_before_invented_ones() -> None:
     assert up_of(sensors) == {"real": 0}
     sensors.hear("tacshade/other/health", health(), False)
     assert up_of(sensors) == {"other": 1, "real": 0}
-    refused = {s.labels["why"]: s.value for f in sensors.collect() for s in f.samples if "refused" in f.name}
+    refused = {
+        s.labels["why"]: s.value
+        for f in sensors.collect()
+        for s in f.samples
+        if "refused" in f.name
+    }
     assert refused == {"undecodable": 0, "no_room": prometheus.SENSORS_MAX, "unknown_topic": 0}
 
 
@@ -117,7 +134,9 @@ def hostile_healths() -> Iterator[bytes]:
         for number in ("-1", "1e308", "1e999", "1" + "0" * 400, "null", '"x"', "[]"):
             yield json.dumps({**reported, key: "?"}).replace('"?"', number).encode()
     yield json.dumps({**reported, "frames": {'a"} 1\nforged{x="': 1}}).encode()
-    yield json.dumps({**reported, "frames": {f"k{number}": number for number in range(100_000)}}).encode()
+    yield json.dumps(
+        {**reported, "frames": {f"k{number}": number for number in range(100_000)}}
+    ).encode()
     yield from (b"{", b"[]", b"\xff", b"[" * 60_000, b"{}", b"0")
 
 

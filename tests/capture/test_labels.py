@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from tacshade_edge.capture.robot_place import labels_between
-from tacshade_edge.capture.scale import ERROR_MOST_S, PRESSES_LEAST, Press, Scale, find_offset, force_at, scale_port
+from tacshade_edge.capture.scale import (
+    ERROR_MOST_S,
+    PRESSES_LEAST,
+    Press,
+    Scale,
+    find_offset,
+    force_at,
+    scale_port,
+)
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
@@ -24,7 +32,9 @@ def pressed(t_s: F64, at_s: float) -> F64:
     return shape
 
 
-def taken(count: int, seed: int, late_s: float, scatter_s: float = 0.0) -> tuple[list[Press], F64, F64]:
+def taken(
+    count: int, seed: int, late_s: float, scatter_s: float = 0.0
+) -> tuple[list[Press], F64, F64]:
     """Pictures at 30/s whose change is no straight line of force; a scale at 10/s, rounded to 10 mN."""
     rng = np.random.default_rng(seed)
     presses = []
@@ -52,7 +62,9 @@ def test_a_delay_is_found_and_its_error_holds(late_s: float) -> None:
 
 def test_too_few_presses_and_a_scale_that_sees_other_things_are_refused() -> None:
     presses, t_s, force_n = taken(6, 1, 0.1)
-    with pytest.raises(ValueError, match=rf"found 2 presses \(of 2\) .*, expected at least {PRESSES_LEAST}"):
+    with pytest.raises(
+        ValueError, match=rf"found 2 presses \(of 2\) .*, expected at least {PRESSES_LEAST}"
+    ):
         find_offset(presses[:2], t_s, force_n)
     with pytest.raises(ValueError, match="found 0 presses"):
         find_offset(presses, t_s, np.zeros_like(force_n))
@@ -65,7 +77,9 @@ def test_too_few_presses_and_a_scale_that_sees_other_things_are_refused() -> Non
 
 
 def test_presses_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(ValueError, match=f"expected a standard error of at most {1e3 * ERROR_MOST_S:.0f} ms"):
+    with pytest.raises(
+        ValueError, match=f"expected a standard error of at most {1e3 * ERROR_MOST_S:.0f} ms"
+    ):
         find_offset(*taken(4, 3, 0.3, scatter_s=0.25))
 
 
@@ -97,7 +111,9 @@ def test_twist_then_tilt_about_x_then_about_y() -> None:
     assert labels(now) == expected(
         depth_mm=1.25, tilt_x_deg=12, tilt_y_deg=-7, shear_x_mm=0.4, shear_y_mm=-0.3, twist_deg=25
     )
-    x, y, z = now.rotation @ np.array((0.0, 0.0, 1.0))  # as `core.touch.answer` has them of a contact's normal
+    x, y, z = now.rotation @ np.array(
+        (0.0, 0.0, 1.0)
+    )  # as `core.touch.answer` has them of a contact's normal
     assert (-math.degrees(math.asin(y)), math.degrees(math.atan2(x, z))) == pytest.approx((12, -7))
 
 
@@ -154,19 +170,25 @@ def test_force_between_readings() -> None:
     assert force_at(10.25, t_s[:0], force_n[:0]) is None
 
 
-def test_a_scale_that_says_nothing_of_use(line: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scale_that_says_nothing_of_use(
+    line: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     master, name = line
     monkeypatch.setattr("tacshade_edge.capture.scale._SILENT_S", 0.0)
     scale = Scale(scale_port(f"{name}:4800"))
     scale.open()
     try:
         with pytest.raises(
-            DeviceError, match=r"found nothing in the last 0 s, expected lines with a number and a unit \(g"
+            DeviceError,
+            match=r"found nothing in the last 0 s, expected lines with a number and a unit \(g",
         ):
             scale.check()
         os.write(master, b"12.5\n")
         wait_until(lambda: scale._unread, 10, "the line")
-        with pytest.raises(DeviceError, match=r"found '12\.5' in the last 0 s, .*; does the scale send at 4800 baud"):
+        with pytest.raises(
+            DeviceError,
+            match=r"found '12\.5' in the last 0 s, .*; does the scale send at 4800 baud",
+        ):
             scale.check()
     finally:
         scale.close()

@@ -33,14 +33,18 @@ def usage(words: str, capsys: pytest.CaptureFixture[str]) -> str:
     "words",
     ["replay LONG --out x", "export --to csv LONG", "replay no --out x"],
 )
-def test_a_path_that_cannot_be_looked_at_is_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_path_that_cannot_be_looked_at_is_one_line(
+    words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(words.replace("LONG", "n" * 300).split()) == EXIT_CONFIG
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert said.endswith(("File name too long\n", "found nothing, expected a recording\n"))
 
 
-@pytest.mark.parametrize("words", ["reconstruct --plot --out OUT IN", "evaluate --images IN --out OUT"])
+@pytest.mark.parametrize(
+    "words", ["reconstruct --plot --out OUT IN", "evaluate --images IN --out OUT"]
+)
 def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -> None:
     calibration_file.save(tmp_path / "c.npz", painted_calibration())
     (tmp_path / "in").mkdir()
@@ -55,20 +59,53 @@ def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -
 @pytest.mark.parametrize(
     "words",
     [
-        *("xyzzy", "run --xyzzy", "run --config", "bridge foxglove extra", "calibrate --sensr S.yaml --out c.npz"),
+        *(
+            "xyzzy",
+            "run --xyzzy",
+            "run --config",
+            "bridge foxglove extra",
+            "calibrate --sensr S.yaml --out c.npz",
+        ),
         *(
             "replay x --out y --calibration c --profile auto",
             "simulate",
             "simulate --out x --depth nan",
             "simulate --out x --seed -1",
         ),
-        *("bridge", "bridge rerun", "bridge foxglove --broker mqtt://a", "bridge foxglove --listen a:x"),
-        *("dashboard --http 65536", "dashboard --origin hand.example", "dashboard --origin https://h/path"),
-        *("record --seconds 1 --name ../a", "record --seconds 4000", "record --seconds 0", "record --seconds soon"),
+        *(
+            "bridge",
+            "bridge rerun",
+            "bridge foxglove --broker mqtt://a",
+            "bridge foxglove --listen a:x",
+        ),
+        *(
+            "dashboard --http 65536",
+            "dashboard --origin hand.example",
+            "dashboard --origin https://h/path",
+        ),
+        *(
+            "record --seconds 1 --name ../a",
+            "record --seconds 4000",
+            "record --seconds 0",
+            "record --seconds soon",
+        ),
         *("evaluate --sensors teapot:1", "evaluate --sensors 5,", "evaluate --objects ball,teapot"),
-        *("evaluate --presses 5", "evaluate --presses -1", "evaluate --references 0", "evaluate --profile best"),
-        *("evaluate --images x", "evaluate --calibration x", "evaluate --calibration x --images x --presses 8"),
-        *("evaluate --labels l", "evaluate --labels l --images x", "evaluate --labels l --images x --presses 9"),
+        *(
+            "evaluate --presses 5",
+            "evaluate --presses -1",
+            "evaluate --references 0",
+            "evaluate --profile best",
+        ),
+        *(
+            "evaluate --images x",
+            "evaluate --calibration x",
+            "evaluate --calibration x --images x --presses 8",
+        ),
+        *(
+            "evaluate --labels l",
+            "evaluate --labels l --images x",
+            "evaluate --labels l --images x --presses 9",
+        ),
         *("evaluate --labels l --images x --calibration c --reference r", "tradeoff --budget-ms 0"),
         *("tradeoff --budget-ms nan", "tradeoff --images x", "tradeoff --report --budget-ms 3"),
         *(
@@ -77,13 +114,27 @@ def test_an_image_may_have_a_name_that_is_not_utf8(tmp_path: Path, words: str) -
             "doctor a.png --bundle b.zip",
             "doctor --calibration c.npz",
         ),
-        *("replay", "replay . --out o", "replay --out o", "replay x --calibration c", "replay --against o"),
-        *("replay x --calibration c --mqtt h:1 --config c", "replay x --calibration c --out o --loop 0"),
-        *("replay x --calibration c --out o --against ./o", "replay x --calibration c --mqtt h:1 --sensor-id a/b"),
+        *(
+            "replay",
+            "replay . --out o",
+            "replay --out o",
+            "replay x --calibration c",
+            "replay --against o",
+        ),
+        *(
+            "replay x --calibration c --mqtt h:1 --config c",
+            "replay x --calibration c --out o --loop 0",
+        ),
+        *(
+            "replay x --calibration c --out o --against ./o",
+            "replay x --calibration c --mqtt h:1 --sensor-id a/b",
+        ),
         *("replay x --calibration c --play --out o", "reconstruct --calibration c.npz --out o"),
     ],
 )
-def test_words_that_do_not_fit_are_usage_errors(capsys: pytest.CaptureFixture[str], words: str) -> None:
+def test_words_that_do_not_fit_are_usage_errors(
+    capsys: pytest.CaptureFixture[str], words: str
+) -> None:
     said = usage(words, capsys)
     assert f"usage: tacshade-edge {words.split()[0].replace('xyzzy', '[-h]')}" in said
     assert "Traceback" not in said
@@ -104,7 +155,9 @@ def test_words_that_do_not_fit_are_usage_errors(capsys: pytest.CaptureFixture[st
         (address(9), {"h": ("h", 9), "h:0": ("h", 0)}, ("h:x", "")),
     ],
 )
-def test_values(read: Callable[[str], object], good: dict[str, object], bad: tuple[str, ...]) -> None:
+def test_values(
+    read: Callable[[str], object], good: dict[str, object], bad: tuple[str, ...]
+) -> None:
     assert {text: read(text) for text in good} == good
     for text in bad:
         with pytest.raises(argparse.ArgumentTypeError, match=r"^found .*, expected "):
@@ -112,7 +165,9 @@ def test_values(read: Callable[[str], object], good: dict[str, object], bad: tup
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_fits_a_screen(command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_fits_a_screen(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit, match="0"):
         main([command, "--help"])
@@ -136,7 +191,9 @@ image = numpy.zeros((2000, 2000), numpy.uint8)
 
 def python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", code, *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=patience(30), check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=patience(30), check=False
+    )
 
 
 @pytest.mark.slow
@@ -145,14 +202,18 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), FREE)
     settings = tmp_path / "settings.yaml"
     source = "source: {kind: files, path: 0.png, fps: 100, loop: true}"
-    settings.write_text(f"calibration: c.npz\n{source}\nmqtt: {{host: 127.0.0.1, port: {free_port()}}}\n")
+    settings.write_text(
+        f"calibration: c.npz\n{source}\nmqtt: {{host: 127.0.0.1, port: {free_port()}}}\n"
+    )
     code = (
         f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry\n"
         "from tacshade_edge.storage.recording import image_source\n"
         "image_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == "hangs\n"
         child.send_signal(signal.SIGTERM)
@@ -170,7 +231,9 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
         f"process.main = lambda: os.kill(os.getpid(), {number:d}) or 1\nentry()"
     )
     assert python(code, "run").returncode == 0
-    assert python(code, "replay").returncode in (-number, 1), "any other command reports that it was cut off"
+    assert python(code, "replay").returncode in (-number, 1), (
+        "any other command reports that it was cut off"
+    )
 
 
 @pytest.mark.parametrize(
@@ -184,11 +247,17 @@ def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> 
         ("RLIMIT_NOFILE", 127, "found at most 127 open files"),
     ],
 )
-def test_too_low_a_limit_is_reported_before_a_library_crashes(limit: str, value: int, found: str) -> None:
+def test_too_low_a_limit_is_reported_before_a_library_crashes(
+    limit: str, value: int, found: str
+) -> None:
     code = f"import resource\nresource.setrlimit(resource.{limit}, ({value}, {value}))\n"
     if python(f"{code}print(resource.getrlimit(resource.{limit})[0])").stdout != f"{value}\n":
-        pytest.skip("this limit is not kept here: QEMU's emulation of a user space has none of the address space")
-    done = python(f"{code}from tacshade_edge.__main__ import entry\nentry()", "run", "--config", "/none")
+        pytest.skip(
+            "this limit is not kept here: QEMU's emulation of a user space has none of the address space"
+        )
+    done = python(
+        f"{code}from tacshade_edge.__main__ import entry\nentry()", "run", "--config", "/none"
+    )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (78, "", 1)
     assert done.stderr.startswith(f"tacshade-edge: {found}")
 
@@ -205,14 +274,20 @@ printf "%s\\n" "${{COMPREPLY[@]}}"
 def completed(script: Path, typed: str) -> list[str]:
     """What bash offers for the last word."""
     asked = ASK.format(script=script, typed=typed, last=len(typed.split()) - 1)
-    return subprocess.run(("bash", "-c", asked), capture_output=True, text=True, check=True).stdout.split()
+    return subprocess.run(
+        ("bash", "-c", asked), capture_output=True, text=True, check=True
+    ).stdout.split()
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
-def test_bash_completes_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bash_completes_commands_and_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["completion", "bash"]) == 0
     script = tmp_path / "tacshade-edge"
     script.write_text(capsys.readouterr().out)
-    assert set(completed(script, "tacshade-edge re")) == {name for name in COMMANDS if name.startswith("re")}
+    assert set(completed(script, "tacshade-edge re")) == {
+        name for name in COMMANDS if name.startswith("re")
+    }
     assert completed(script, "tacshade-edge replay --cal") == ["--calibration"]
     assert completed(script, "tacshade-edge completion z") == ["zsh"]

@@ -56,13 +56,21 @@ def test_a_flood_is_counted_and_hides_nothing(written: Written) -> None:
     logger.info("another")
     assert len(stream.getvalue().splitlines()) == AT_ONCE + 1
     handler.close()
-    reported = f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/profile refused: #"
+    reported = (
+        f"WARNING test: left out {15_000 - AT_ONCE} more lines like this: req/profile refused: #"
+    )
     assert stream.getvalue().splitlines()[-1] == reported
 
 
 def test_a_fault_is_not_hidden_by_another_of_the_same_format(written: Written) -> None:
     logger, handler, stream = written
-    faults = ["/dev/video0: unplugged", "/dev/video2: unplugged", "disk full", "no 10.0.0.1", "no 10.0.0.2"]
+    faults = [
+        "/dev/video0: unplugged",
+        "/dev/video2: unplugged",
+        "disk full",
+        "no 10.0.0.1",
+        "no 10.0.0.2",
+    ]
     for fault in faults:
         for _ in range(20):
             logger.warning("%s", fault)
@@ -77,7 +85,9 @@ def test_texts_without_end_are_bounded_and_hide_no_other_format() -> None:
     limit = Limit()
     assert sum(limit.passes(("a", "%s", f"x{k}"), 0.0) for k in range(2_000)) == 16 + AT_ONCE
     assert limit.passes(("a", "another %s", "another"), 0.0)
-    assert limit.passes(("a", "%s", "later"), 2 * PERIOD_S)  # the texts that were quiet meanwhile are forgotten
+    assert limit.passes(
+        ("a", "%s", "later"), 2 * PERIOD_S
+    )  # the texts that were quiet meanwhile are forgotten
     for k in range(2_000):  # formats that are made, each another
         limit.passes(("c", str(k), str(k)), 0.0)
     assert len(limit._kinds) <= 300
@@ -101,7 +111,9 @@ def logged(*words: str, journal: bool = False) -> list[str]:
         # A shell below a service inherits the variable: only the very stream counts.
         inode = found.st_ino if journal else found.st_ino + 1
         environment = os.environ | {"JOURNAL_STREAM": f"{found.st_dev}:{inode}"}
-        subprocess.run([sys.executable, "-c", LOGS, *words], stderr=stream, env=environment, check=True)
+        subprocess.run(
+            [sys.executable, "-c", LOGS, *words], stderr=stream, env=environment, check=True
+        )
         stream.seek(0)
         return stream.read().splitlines()
 
@@ -152,7 +164,10 @@ def test_on_a_terminal_it_is_one_line_that_renews_itself() -> None:
 
 
 def test_a_message_stands_on_a_line_of_its_own() -> None:
-    for stream, said in ((Terminal(), "\r\033[Ktacshade-edge: a.png: cut\n"), (io.StringIO(), "a.png: cut\n")):
+    for stream, said in (
+        (Terminal(), "\r\033[Ktacshade-edge: a.png: cut\n"),
+        (io.StringIO(), "a.png: cut\n"),
+    ):
         progress = Progress(stream, Clock())
         progress("images", 1, 2)
         progress.warn("a.png: cut")
@@ -170,6 +185,9 @@ def test_without_matplotlib_the_plots_are_missing_and_a_line_says_so(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert not study.will_draw(args, "tradeoff.png")
     install = "pip install '.[studies]' in the clone"
-    assert capsys.readouterr().err == f"tacshade-edge: tradeoff.png will be missing without matplotlib: {install}\n"
+    assert (
+        capsys.readouterr().err
+        == f"tacshade-edge: tradeoff.png will be missing without matplotlib: {install}\n"
+    )
     assert not study.will_draw(argparse.Namespace(out=None), "tradeoff.png")
     assert capsys.readouterr().err == ""

@@ -19,7 +19,10 @@ from tacshade_edge.protocol import messages, wire
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.patience import patience, wait_until
 
-needs_a_broker = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+needs_a_broker = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 pytestmark = needs_a_broker
 HEIGHT = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
 
@@ -42,7 +45,10 @@ def taken(listener: tc.Listener) -> tc.Message:
 
 def test_messages_of_one_sensor_come_decoded(broker: Broker) -> None:
     where = f"127.0.0.1:{broker.port}"
-    with Subscriber(broker.port, "none") as sender, tc.listen(where, "left", ["height", "state", "status/+"]) as heard:
+    with (
+        Subscriber(broker.port, "none") as sender,
+        tc.listen(where, "left", ["height", "state", "status/+"]) as heard,
+    ):
         sender.publish("tacshade/left/state", b"online", retain=True)
         sender.publish("tacshade/right/height", HEIGHT)
         sender.publish("tacshade/left/height", b"\xff\x00 damaged")
@@ -57,14 +63,22 @@ def test_messages_of_one_sensor_come_decoded(broker: Broker) -> None:
         assert heard.get(0.0) is None
     with tc.listen(where, "+", ["state"]) as heard:
         kept = next(heard)
-        assert (kept.name, kept.part, kept.value, kept.retained) == ("left", "state", "online", True)
+        assert (kept.name, kept.part, kept.value, kept.retained) == (
+            "left",
+            "state",
+            "online",
+            True,
+        )
 
 
 def test_a_silence_from_the_start_names_the_sensors_that_are_there_once(
     broker: Broker, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tacshade_client.listener.SILENT_S", 0.2)
-    with Subscriber(broker.port, "none") as sender, tc.listen(f"127.0.0.1:{broker.port}", "lfet") as heard:
+    with (
+        Subscriber(broker.port, "none") as sender,
+        tc.listen(f"127.0.0.1:{broker.port}", "lfet") as heard,
+    ):
         sender.publish("tacshade/left/state", b"online", retain=True)
         sender.publish("tacshade/right/state", b"offline", retain=True)
         wait_until(lambda: heard.get(0.1) is None and caplog.records, 10, "the line")
@@ -72,7 +86,9 @@ def test_a_silence_from_the_start_names_the_sensors_that_are_there_once(
         assert taken(heard).name == "lfet"
         assert heard.get(0.5) is None
     (line,) = (record.getMessage() for record in caplog.records)
-    assert line.endswith("no message on tacshade/lfet/height so far; there are left (online), right (offline)")
+    assert line.endswith(
+        "no message on tacshade/lfet/height so far; there are left (online), right (offline)"
+    )
 
 
 def test_of_contacts_the_newest_waits_and_of_states_every_one(broker: Broker) -> None:
@@ -87,13 +103,18 @@ def test_of_contacts_the_newest_waits_and_of_states_every_one(broker: Broker) ->
         states = [taken(heard) for _ in range(41)]
         newest = [message.value.seq for message in states if message.part == "contact"]
         assert newest == [39]
-        assert [message.value for message in states if message.part == "state"] == ["online", "degraded"] * 20
+        assert [message.value for message in states if message.part == "state"] == [
+            "online",
+            "degraded",
+        ] * 20
         for _ in range(WAITING_MAX + 10):
             sender.publish("tacshade/left/state", b"online")
         wait_until(lambda: heard.dropped == 10, 20, "the oldest are dropped")
 
 
-def test_it_comes_back_with_its_broker_and_its_topics(broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
+def test_it_comes_back_with_its_broker_and_its_topics(
+    broker: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO)
     with tc.listen(f"127.0.0.1:{broker.port}", "left", ["height"]) as heard:
         heard.follow(["contact"])
@@ -132,7 +153,9 @@ def test_with_tls_and_a_user(tmp_path: Path) -> None:
         where = f"localhost:{broker.port}"
         with pytest.raises(tc.DeviceError, match="rejects the connection: "):
             tc.listen(where, "left", username="eve", password="wrong", ca_file=broker.ca)
-        with tc.listen(where, "left", ["state"], username="eve", password="secret", ca_file=broker.ca) as heard:
+        with tc.listen(
+            where, "left", ["state"], username="eve", password="secret", ca_file=broker.ca
+        ) as heard:
             assert heard.get(0.0) is None
         with pytest.raises(tc.DeviceError):
             tc.listen(where, "left")
@@ -140,7 +163,9 @@ def test_with_tls_and_a_user(tmp_path: Path) -> None:
 
 def test_an_absent_broker_is_one_line_at_once() -> None:
     began_s = time.monotonic()
-    with pytest.raises(tc.DeviceError, match=r"refused; expected a broker that serves topics under tacshade/left/$"):
+    with pytest.raises(
+        tc.DeviceError, match=r"refused; expected a broker that serves topics under tacshade/left/$"
+    ):
         tc.listen(f"127.0.0.1:{free_port()}", "left")
     assert time.monotonic() - began_s < patience(5)
 

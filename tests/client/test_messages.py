@@ -25,12 +25,30 @@ from tacshade_edge.protocol.topics import HandObjects
 from tacshade_edge.reasons import Reason, ReasonCode
 
 ROOT = Path(__file__).parents[2]
-VECTORS = {n: json.loads((ROOT / f"tests/protocol/vectors/{n}.json").read_text()) for n in ("wire", "hand", "touch")}
+VECTORS = {
+    n: json.loads((ROOT / f"tests/protocol/vectors/{n}.json").read_text())
+    for n in ("wire", "hand", "touch")
+}
 PRESS = dragged(bump(7, 2.0, 236.0, 328.0, step_px=4), 0.5, 0.25)
 LOST = Reason(ReasonCode.LOST, "gone")
 MAP = {
-    **{"name": "pad", "revision": 3, "presses": 2, "used": 2, "x0_mm": 1.0, "y0_mm": 2.0, "width_mm": 3.0},
-    **{"length_mm": 4.0, "z_min_mm": None, "z_max_mm": None, "area_mm2": 0.0, "points": 0, "spacing_mm": 0.25},
+    **{
+        "name": "pad",
+        "revision": 3,
+        "presses": 2,
+        "used": 2,
+        "x0_mm": 1.0,
+        "y0_mm": 2.0,
+        "width_mm": 3.0,
+    },
+    **{
+        "length_mm": 4.0,
+        "z_min_mm": None,
+        "z_max_mm": None,
+        "area_mm2": 0.0,
+        "points": 0,
+        "spacing_mm": 0.25,
+    },
 }
 SENT: dict[str, bytes] = {
     "left/height": wire.encode_height(PRESS, calibration_crc32=CRC),
@@ -40,8 +58,12 @@ SENT: dict[str, bytes] = {
     "left/contact": messages.encode_contact(PRESS, fps=60.0),
     "left/touch": messages.encode_touch(PRESS),
     "left/event/slip": messages.encode_slip(PRESS, PRESS.objects[0]),
-    "left/event/contact": encode_json({"type": "end", "id": 3, "t_ns": 9, "start_ns": 1, "end_ns": 8, "slip": None}),
-    "left/info": messages.encode_info(version="1", config_digest="0", profile="fast", calibration=calibration()),
+    "left/event/contact": encode_json(
+        {"type": "end", "id": 3, "t_ns": 9, "start_ns": 1, "end_ns": 8, "slip": None}
+    ),
+    "left/info": messages.encode_info(
+        version="1", config_digest="0", profile="fast", calibration=calibration()
+    ),
     "left/health": health(),
     "left/state": b"online",
     "left/status/camera": messages.encode_status("away", LOST),
@@ -51,8 +73,12 @@ SENT: dict[str, bytes] = {
     "left/map/final": encode_json({**MAP, "folder": "/s"}),
     "left/preview": b"\xff\xd8\xff",
     "hand/left/state": b"offline",
-    "hand/left/objects": encode_hand(HandObjects(t_ns=1, wall_ns=2, seq=3, fingers={"thumb": away(LOST)})),
-    "hand/left/health": encode_json({"wall_ns": 1, "uptime_s": 2, "heard": {"thumb": 3}, "undecodable": 0, "mqtt": {}}),
+    "hand/left/objects": encode_hand(
+        HandObjects(t_ns=1, wall_ns=2, seq=3, fingers={"thumb": away(LOST)})
+    ),
+    "hand/left/health": encode_json(
+        {"wall_ns": 1, "uptime_s": 2, "heard": {"thumb": 3}, "undecodable": 0, "mqtt": {}}
+    ),
 }
 
 
@@ -64,12 +90,23 @@ def test_every_message_of_a_daemon_is_understood(topic: str) -> None:
 
 
 def test_what_they_hold() -> None:
-    value = {topic: tc.decode_message(f"tacshade/{topic}", payload).value for topic, payload in SENT.items()}
+    value = {
+        topic: tc.decode_message(f"tacshade/{topic}", payload).value
+        for topic, payload in SENT.items()
+    }
     contact = value["left/contact"]
-    assert (contact.contact, contact.depth_max_mm, contact.objects, contact.x_mm) == (1, 2.0, 1, 0.5)
+    assert (contact.contact, contact.depth_max_mm, contact.objects, contact.x_mm) == (
+        1,
+        2.0,
+        1,
+        0.5,
+    )
     assert (contact.shear_x_mm, contact.shear_y_mm, contact.fps) == (0.5, 0.25, 60.0)
     assert (value["left/event/slip"].x_mm, value["left/event/slip"].slip_mm_s) == (0.5, 9.0)
-    assert (value["left/status/camera"].state, value["left/status/camera"].reason_code) == ("away", "lost")
+    assert (value["left/status/camera"].state, value["left/status/camera"].reason_code) == (
+        "away",
+        "lost",
+    )
     assert (value["left/info"].version, value["left/info"].geometry.calibration_crc32) == ("1", CRC)
     assert (value["left/map/final"].folder, value["left/map/revision"].z_min_mm) == ("/s", None)
     assert value["hand/left/objects"].fingers["thumb"].reason_code == "lost"
@@ -80,7 +117,11 @@ def test_what_they_hold() -> None:
 def test_every_vector_is_understood_or_refused(kind: str) -> None:
     for vector in VECTORS[kind]:
         payload = bytes.fromhex(vector["hex"]) if kind == "wire" else vector["payload"].encode()
-        part = {"wire": vector.get("expect", {}).get("kind", "height"), "hand": "objects", "touch": "touch"}[kind]
+        part = {
+            "wire": vector.get("expect", {}).get("kind", "height"),
+            "hand": "objects",
+            "touch": "touch",
+        }[kind]
         topic = f"tacshade/{'hand/left' if kind == 'hand' else 'left'}/{part}"
         if "error" in vector:
             with pytest.raises(tc.DecodeError):
@@ -92,8 +133,20 @@ def test_every_vector_is_understood_or_refused(kind: str) -> None:
 @pytest.mark.parametrize(
     "topic",
     [
-        *("", "tacshade", "tacshade/left", "tacshade/left/", "other/left/height", "tacshade/hand/height"),
-        *("tacshade/left/heights", "tacshade/left/objects", "tacshade/hand/left/height", "tacshade/a b/height"),
+        *(
+            "",
+            "tacshade",
+            "tacshade/left",
+            "tacshade/left/",
+            "other/left/height",
+            "tacshade/hand/height",
+        ),
+        *(
+            "tacshade/left/heights",
+            "tacshade/left/objects",
+            "tacshade/hand/left/height",
+            "tacshade/a b/height",
+        ),
         "tacshade/" + 70 * "x" + "/height",
     ],
 )
@@ -108,14 +161,23 @@ def test_a_new_topic_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(message.value, tc.SlipEvent)
 
 
-@pytest.mark.parametrize(("topic", "sent"), [("left/height", "left/cloud"), ("left/cloud", "left/height")])
+@pytest.mark.parametrize(
+    ("topic", "sent"), [("left/height", "left/cloud"), ("left/cloud", "left/height")]
+)
 def test_another_kind_of_payload_is_refused(topic: str, sent: str) -> None:
     with pytest.raises(tc.DecodeError, match="found a"):
         tc.decode_message(f"tacshade/{topic}", SENT[sent])
 
 
-@given(st.sampled_from(sorted(SENT)), st.binary() | st.just(b""), st.integers(0, 200), st.binary(max_size=4))
-def test_damaged_bytes_are_refused_or_understood(topic: str, other: bytes, at: int, put: bytes) -> None:
+@given(
+    st.sampled_from(sorted(SENT)),
+    st.binary() | st.just(b""),
+    st.integers(0, 200),
+    st.binary(max_size=4),
+)
+def test_damaged_bytes_are_refused_or_understood(
+    topic: str, other: bytes, at: int, put: bytes
+) -> None:
     payload = SENT[topic]
     for damaged in (other, payload[:at], payload[:at] + put + payload[at + len(put) :]):
         refused = None
@@ -133,7 +195,9 @@ def test_points_are_those_of_the_daemon() -> None:
     assert geometry is not None
     known = calibration().geometry
     rays = disc_rays(Grid(*height.height_mm.shape, 0.0, 0.0, 4.0), known)
-    np.testing.assert_array_equal(tc.skin_mm(height, geometry), core.skin_points(height.height_mm, rays, known))
+    np.testing.assert_array_equal(
+        tc.skin_mm(height, geometry), core.skin_points(height.height_mm, rays, known)
+    )
     other = tc.decode(wire.encode_height(PRESS, calibration_crc32=1))
     assert isinstance(other, tc.HeightMessage)
     with pytest.raises(tc.DecodeError, match="calibration 00000001, expected 1234abcd"):

@@ -34,8 +34,12 @@ def test_it_is_small_and_owns_no_file_of_the_daemons_wheel(tmp_path: Path) -> No
     wheel = built(ROOT / "client", tmp_path / "client")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        about = message_from_bytes(archive.read(next(name for name in names if name.endswith("/METADATA"))))
-        assert not any(b"tacshade_edge" in archive.read(name) for name in names if name.endswith(".py"))
+        about = message_from_bytes(
+            archive.read(next(name for name in names if name.endswith("/METADATA")))
+        )
+        assert not any(
+            b"tacshade_edge" in archive.read(name) for name in names if name.endswith(".py")
+        )
     print(f"{wheel.name}: {wheel.stat().st_size} bytes")
     assert wheel.stat().st_size < BYTES_MAX
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"tacshade_client"}
@@ -49,7 +53,11 @@ def test_the_camera_for_lerobot_has_the_name_that_lerobot_looks_for(tmp_path: Pa
     wheel = built(ROOT / "client_lerobot", tmp_path / "made")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        about = message_from_bytes(archive.read(next(name for name in names if name.endswith("/METADATA"))))
+        about = message_from_bytes(
+            archive.read(next(name for name in names if name.endswith("/METADATA")))
+        )
     assert (about["Name"], about["License-Expression"]) == ("lerobot_camera_tacshade", "MIT")
     assert about.get_all("Requires-Dist") == ["tacshade-client"]
-    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"lerobot_camera_tacshade"}
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {
+        "lerobot_camera_tacshade"
+    }

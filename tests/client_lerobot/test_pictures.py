@@ -32,11 +32,22 @@ def lerobot() -> None:
     """What the plugin imports of LeRobot, if that is absent."""
     if find_spec("lerobot") is not None:
         return
-    for name in ("lerobot", "cameras", "cameras.camera", "cameras.configs", "utils", "utils.errors"):
+    for name in (
+        "lerobot",
+        "cameras",
+        "cameras.camera",
+        "cameras.configs",
+        "utils",
+        "utils.errors",
+    ):
         full = "lerobot" if name == "lerobot" else f"lerobot.{name}"
         sys.modules[full] = ModuleType(full)
-    config = type("CameraConfig", (), {"register_subclass": staticmethod(lambda _: lambda cls: cls)})
-    camera = type("Camera", (), {"__init__": lambda self, config: setattr(self, "width", config.width)})
+    config = type(
+        "CameraConfig", (), {"register_subclass": staticmethod(lambda _: lambda cls: cls)}
+    )
+    camera = type(
+        "Camera", (), {"__init__": lambda self, config: setattr(self, "width", config.width)}
+    )
     sys.modules["lerobot.cameras.configs"].CameraConfig = config  # type: ignore[attr-defined]
     sys.modules["lerobot.cameras.camera"].Camera = camera  # type: ignore[attr-defined]
     for name in ("DeviceAlreadyConnectedError", "DeviceNotConnectedError"):
@@ -66,7 +77,9 @@ pictures = import_module("lerobot_camera_tacshade.pictures")
 
 
 @given(
-    npst.arrays(np.float32, (4, 5), elements=st.floats(0, np.float32(6.35), width=32) | st.just(np.nan)),
+    npst.arrays(
+        np.float32, (4, 5), elements=st.floats(0, np.float32(6.35), width=32) | st.just(np.nan)
+    ),
     npst.arrays(np.float32, (4, 5, 2), elements=st.floats(-3.171875, 3.171875, width=32)),
 )
 def test_millimetres_come_back_to_half_a_grey_level(height_mm: Any, shear_mm: Any) -> None:
@@ -87,7 +100,10 @@ def message(part: str, payload: bytes) -> Message:
     return decode_message(f"tacshade/left/{part}", payload)
 
 
-INFO = message("info", messages.encode_info(version="1", config_digest="", profile="fast", calibration=calibration()))
+INFO = message(
+    "info",
+    messages.encode_info(version="1", config_digest="", profile="fast", calibration=calibration()),
+)
 
 
 def frame(seq: int, depth_mm: float, step_px: int = 4, crc: int = CRC) -> list[Message]:
@@ -95,7 +111,9 @@ def frame(seq: int, depth_mm: float, step_px: int = 4, crc: int = CRC) -> list[M
     contact = message("contact", messages.encode_contact(pressed, fps=60.0))
     if not depth_mm:
         return [contact]
-    height, shear = (e(pressed, calibration_crc32=crc) for e in (wire.encode_height, wire.encode_shear))
+    height, shear = (
+        e(pressed, calibration_crc32=crc) for e in (wire.encode_height, wire.encode_shear)
+    )
     return [message("height", height), message("shear", shear), contact]
 
 
@@ -114,7 +132,12 @@ def test_a_press_is_where_and_as_deep_as_it_was_on_any_grid(step_px: int) -> Non
     assert np.isnan(height_mm[0, 0])
     assert np.nanmax(np.abs(made.height_mm - height_mm)) <= HALF_STEP_MM
     known = dict(zip(pictures.TACTILE, made.tactile.tolist(), strict=True))
-    assert (known["contact"], known["depth_max_mm"], known["shear_x_mm"], known["slip"]) == (1, 2.0, 0.5, 0)
+    assert (known["contact"], known["depth_max_mm"], known["shear_x_mm"], known["slip"]) == (
+        1,
+        2.0,
+        0.5,
+        0,
+    )
     assert pictures.tactile_feature()["shape"] == made.tactile.shape
     assert made.passed_over == 0
 
@@ -157,9 +180,13 @@ def test_what_is_not_of_the_frame_gives_no_picture() -> None:
         ({}, "Connection refused; expected a broker"),
     ],
 )
-def test_a_mistake_in_the_settings_is_a_connection_error_of_one_line(settings: dict[str, str], says: str) -> None:
+def test_a_mistake_in_the_settings_is_a_connection_error_of_one_line(
+    settings: dict[str, str], says: str
+) -> None:
     made = camera.TacShadeCamera(
-        config.TacShadeCameraConfig(**{"sensor": "left", "broker": f"localhost:{free_port()}", **settings})
+        config.TacShadeCameraConfig(
+            **{"sensor": "left", "broker": f"localhost:{free_port()}", **settings}
+        )
     )
     with pytest.raises(ConnectionError) as caught:
         made.connect()
@@ -172,7 +199,11 @@ def test_a_mistake_in_the_settings_is_a_connection_error_of_one_line(settings: d
 def test_a_sensor_that_is_not_there_is_a_connection_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera, "_CONNECT_S", 0.1)
     with HostileBroker(BAD) as broker:
-        made = camera.TacShadeCamera(config.TacShadeCameraConfig(sensor="left", broker=f"localhost:{broker.port}"))
-        with pytest.raises(ConnectionError, match="no picture within 100 ms; expected a calibrated sensor"):
+        made = camera.TacShadeCamera(
+            config.TacShadeCameraConfig(sensor="left", broker=f"localhost:{broker.port}")
+        )
+        with pytest.raises(
+            ConnectionError, match="no picture within 100 ms; expected a calibrated sensor"
+        ):
             made.connect()
     assert not made.is_connected

@@ -93,7 +93,9 @@ def test_folding_is_undone_by_unfolding(by: int) -> None:
 
 
 @pytest.mark.parametrize("by", [2, 4])
-def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becomes_mm(by: int) -> None:
+def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becomes_mm(
+    by: int,
+) -> None:
     rng = np.random.default_rng(0)
     white, reference = rng.random((2, disc_map.CELLS, disc_map.CELLS), dtype=np.float32)
     sensed: list[F32] = []
@@ -104,7 +106,10 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
         return known[:n] + 1
 
     made = LearnedInverse(
-        answering(by, sense, lambda seen, sensor: np.concatenate((seen, sensor))), GEOMETRY, 6.0, reference
+        answering(by, sense, lambda seen, sensor: np.concatenate((seen, sensor))),
+        GEOMETRY,
+        6.0,
+        reference,
     )
     answers = [made(white), made(white)]
     (known,) = sensed  # once for a sensor
@@ -120,7 +125,9 @@ def test_the_network_gets_frame_reference_and_what_is_known_and_its_answer_becom
 
 
 def test_shear_is_in_mm_on_the_maps_cells_and_finite() -> None:
-    network = answering(4, lambda known: known[:16], lambda white, sensor: np.concatenate((white, sensor)))
+    network = answering(
+        4, lambda known: known[:16], lambda white, sensor: np.concatenate((white, sensor))
+    )
     preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES["balanced"])
     solver = LearnedSolver(preprocessor, network)
     preprocessed = preprocessor.preprocess(preprocessor.grey(unloaded(HALF)))
@@ -132,7 +139,9 @@ def test_shear_is_in_mm_on_the_maps_cells_and_finite() -> None:
     assert np.median(shear[..., 0]) == pytest.approx(0.03 * unit_mm, rel=1e-6)
     assert (shear[..., 1] == 0).all()
     assert np.isfinite(shear).all()
-    assert shear[56:60, 56:60, 0].max() < 0.03 * unit_mm  # what was not finite is 0 between its neighbours
+    assert (
+        shear[56:60, 56:60, 0].max() < 0.03 * unit_mm
+    )  # what was not finite is 0 between its neighbours
 
 
 CELLS, COARSE = 16, 4
@@ -158,7 +167,9 @@ def by_the_formula(h: F32, contact: F32, untrusted: F32, where: Bool) -> F64:
             min(max(float(contact[i, j]), -2.0), 8.0),
             min(max(float(untrusted[i // 4, j // 4]), -12.0), 0.0),
         )
-        found.append(k * math.exp(math.fsum(w * value for w, value in zip(MODEL.weights, x, strict=True))))
+        found.append(
+            k * math.exp(math.fsum(w * value for w, value in zip(MODEL.weights, x, strict=True)))
+        )
     return np.array(found)
 
 
@@ -184,7 +195,9 @@ def test_it_is_the_formula() -> None:
     npst.arrays(np.float32, (COARSE, COARSE), elements=FLOATS),
     npst.arrays(np.bool_, (CELLS, CELLS)),
 )
-def test_whatever_a_network_says_it_is_finite_and_above_0(h: Any, contact: Any, untrusted: Any, where: Any) -> None:
+def test_whatever_a_network_says_it_is_finite_and_above_0(
+    h: Any, contact: Any, untrusted: Any, where: Any
+) -> None:
     found = sigma_of_scale_1(MODEL, terms(h, contact, untrusted, where, SENSOR), SENSOR)
     assert found.shape == (np.count_nonzero(where),)
     assert np.isfinite(found).all()
@@ -201,5 +214,7 @@ def test_whatever_a_network_says_it_is_finite_and_above_0(h: Any, contact: Any, 
     ],
 )
 def test_what_is_no_model_is_refused(changed: Any) -> None:
-    with pytest.raises(ValueError, match="expected finite numbers, a weight for each of constant, height"):
+    with pytest.raises(
+        ValueError, match="expected finite numbers, a weight for each of constant, height"
+    ):
         SigmaModel(*changed)

@@ -40,10 +40,14 @@ def rays_of(u: list[float], v: list[float]) -> DiscRays:
     st.floats(0.0, 60.0),
     st.floats(0.0, 2 * math.pi),
 )
-def test_a_seen_skin_point_comes_back(d_mm: float | None, r_mm: float, part: float, polar: float, turn: float) -> None:
+def test_a_seen_skin_point_comes_back(
+    d_mm: float | None, r_mm: float, part: float, polar: float, turn: float
+) -> None:
     h_mm = part * r_mm
     theta = math.radians(polar)
-    normal = np.array([math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)])
+    normal = np.array(
+        [math.sin(theta) * math.cos(turn), math.sin(theta) * math.sin(turn), math.cos(theta)]
+    )
     point = (r_mm - h_mm) * normal
     geometry = Geometry(r_mm, d_mm, 50.0, DISC)
     col, row = project(geometry, point)
@@ -83,7 +87,9 @@ def test_areas_are_those_of_plain_gradients() -> None:
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     expected = np.linalg.norm(np.cross(du, dv), axis=-1)
     assert np.isnan(expected).sum() == 4
-    np.testing.assert_array_equal(cell_area_mm2(np.moveaxis(points, -1, 0)), np.nan_to_num(expected))
+    np.testing.assert_array_equal(
+        cell_area_mm2(np.moveaxis(points, -1, 0)), np.nan_to_num(expected)
+    )
 
 
 def test_a_line_of_points_has_no_area() -> None:
@@ -91,8 +97,15 @@ def test_a_line_of_points_has_no_area() -> None:
     assert cell_area_mm2(np.zeros((3, 1, 1), np.float32)).tolist() == [[0.0]]
 
 
-@given(st.none() | st.floats(5.0, 60.0), st.floats(10.0, 40.0), st.integers(0, 2**32 - 1), st.floats(0.5, 8.0))
-def test_points_are_seen_by_the_cells_that_they_are_of(d_mm: float | None, r_mm: float, seed: int, step: float) -> None:
+@given(
+    st.none() | st.floats(5.0, 60.0),
+    st.floats(10.0, 40.0),
+    st.integers(0, 2**32 - 1),
+    st.floats(0.5, 8.0),
+)
+def test_points_are_seen_by_the_cells_that_they_are_of(
+    d_mm: float | None, r_mm: float, seed: int, step: float
+) -> None:
     geometry = Geometry(r_mm, d_mm, 50.0, DISC)
     random = np.random.default_rng(seed)
     grid = Grid(9, 11, *(random.uniform(60.0, 120.0, 2).tolist()), step)
@@ -112,7 +125,9 @@ def test_no_point_breaks_it(d_mm: float | None, points: list[tuple[float, float,
 CAMERAS = [None, 4.0, 14.0, 60.0]
 
 
-@given(st.integers(1, 50), st.integers(1, 50), st.floats(-60, 90), st.floats(-60, 90), st.floats(0, 60))
+@given(
+    st.integers(1, 50), st.integers(1, 50), st.floats(-60, 90), st.floats(-60, 90), st.floats(0, 60)
+)
 def test_a_window_holds_the_disc_and_lies_in_the_image(
     height: int, width: int, row_c: float, col_c: float, radius: float
 ) -> None:
@@ -125,10 +140,21 @@ def test_a_window_holds_the_disc_and_lies_in_the_image(
     assert max(window.rows, window.cols) <= 2 * radius + 3
 
 
-@given(st.integers(0, 30), st.integers(0, 30), st.integers(1, 50), st.integers(1, 50), st.integers(1, 8))
-def test_a_grid_lies_in_its_window_and_covers_it(row0: int, col0: int, rows: int, cols: int, step: int) -> None:
+@given(
+    st.integers(0, 30),
+    st.integers(0, 30),
+    st.integers(1, 50),
+    st.integers(1, 50),
+    st.integers(1, 8),
+)
+def test_a_grid_lies_in_its_window_and_covers_it(
+    row0: int, col0: int, rows: int, cols: int, step: int
+) -> None:
     grid = Grid.of_window(Window(row0, col0, rows, cols), step)
-    for first, count, begin, size in ((grid.row0, grid.rows, row0, rows), (grid.col0, grid.cols, col0, cols)):
+    for first, count, begin, size in (
+        (grid.row0, grid.rows, row0, rows),
+        (grid.col0, grid.cols, col0, cols),
+    ):
         last = first + step * (count - 1)
         assert begin <= first <= last < begin + size
         assert max(first - begin, begin + size - 1 - last) < step
@@ -137,7 +163,9 @@ def test_a_grid_lies_in_its_window_and_covers_it(row0: int, col0: int, rows: int
 
 
 def test_cells_beyond_the_image_are_not_in_it() -> None:
-    seen = cells_in_image(Grid(4, 5, -1.6, -0.4, 1.3), 3, 5)  # rows -1.6, -0.3, 1.0, 2.3; columns -0.4 ... 4.8
+    seen = cells_in_image(
+        Grid(4, 5, -1.6, -0.4, 1.3), 3, 5
+    )  # rows -1.6, -0.3, 1.0, 2.3; columns -0.4 ... 4.8
     np.testing.assert_array_equal(seen.any(axis=1), [False, True, True, True])
     np.testing.assert_array_equal(seen.any(axis=0), [True, True, True, True, False])
 
@@ -167,7 +195,9 @@ def test_rays_are_those_of_the_independent_camera(distance_mm: float | None) -> 
         u, v = along[:, 0] / along[:, 2], along[:, 1] / along[:, 2]
     np.testing.assert_allclose(rays.u.ravel(), u, atol=2e-6)
     np.testing.assert_allclose(rays.v.ravel(), v, atol=2e-6)
-    np.testing.assert_array_equal(rays.inside.ravel(), np.hypot(rows - 118.3, cols - 163.6) <= 102.4)
+    np.testing.assert_array_equal(
+        rays.inside.ravel(), np.hypot(rows - 118.3, cols - 163.6) <= 102.4
+    )
 
 
 MAPPED = Disc(row_c=61.3, col_c=83.9, radius_px=47.7)
@@ -187,16 +217,24 @@ def test_what_is_known_agrees_with_the_camera(distance: float | None) -> None:
     camera = np.array((0.0, 0.0, -(distance or 1e9)))
     ray = (point - camera) / np.linalg.norm(point - camera)
     assert cosine[row, col] == pytest.approx(ray @ point / 20.0, abs=2e-3)
-    assert x[row, col] == pytest.approx((grid.col0 + grid.step_px * col - MAPPED.col_c) / MAPPED.radius_px, abs=1e-6)
-    assert y[row, col] == pytest.approx((grid.row0 + grid.step_px * row - MAPPED.row_c) / MAPPED.radius_px, abs=1e-6)
+    assert x[row, col] == pytest.approx(
+        (grid.col0 + grid.step_px * col - MAPPED.col_c) / MAPPED.radius_px, abs=1e-6
+    )
+    assert y[row, col] == pytest.approx(
+        (grid.row0 + grid.step_px * row - MAPPED.row_c) / MAPPED.radius_px, abs=1e-6
+    )
     assert pitch[0, 0] == pytest.approx(60 / MAPPED.radius_px)
     moved = point - (0, 0, 0.01)
     if distance is None:
         assert gain_x[row, col] == 0
     else:
-        shift_px = geometry.f_px * (moved[0] / (moved[2] + distance) - point[0] / (point[2] + distance))
+        shift_px = geometry.f_px * (
+            moved[0] / (moved[2] + distance) - point[0] / (point[2] + distance)
+        )
         unit_mm = 20 * np.sin(np.radians(50))
-        assert gain_x[row, col] == pytest.approx(shift_px / MAPPED.radius_px / 0.01 * unit_mm, rel=5e-3)
+        assert gain_x[row, col] == pytest.approx(
+            shift_px / MAPPED.radius_px / 0.01 * unit_mm, rel=5e-3
+        )
 
 
 SHAPE = (480, 640)

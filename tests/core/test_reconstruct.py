@@ -61,7 +61,9 @@ def harmless(model: SensorModel) -> dict[str, U8]:
     good = unloaded(model)
     part = model.disc_radius_px / 205
     glare = {
-        f"glare {r} px at {where}": camera_faults.glare(good, model.row_c + y * part, model.col_c + x * part, r * part)
+        f"glare {r} px at {where}": camera_faults.glare(
+            good, model.row_c + y * part, model.col_c + x * part, r * part
+        )
         for r in (8, 14, 20)
         for where, (x, y) in {"the middle": (0, 0), "the side": (80, -50)}.items()
     }
@@ -142,7 +144,9 @@ def test_an_unusable_frame_is_invalid_and_zero(profile: str) -> None:
         assert_nothing(result, inside)
 
 
-def depth_errors(made: Reconstructor, model: SensorModel, presses: Iterable[tuple[str, float, float, float]]) -> F64:
+def depth_errors(
+    made: Reconstructor, model: SensorModel, presses: Iterable[tuple[str, float, float, float]]
+) -> F64:
     """Relative errors of the greatest h of presses: object, depth, place."""
     errors = []
     for name, depth_mm, x_mm, y_mm in presses:
@@ -157,7 +161,9 @@ def depth_errors(made: Reconstructor, model: SensorModel, presses: Iterable[tupl
 def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> None:
     """One factor for the whole skin has no bias over its places, though it has one in the middle alone."""
     places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
-    presses = [(name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)]
+    presses = [
+        (name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)
+    ]
     errors = depth_errors(reconstructor("fast"), HALF, presses)
     assert np.quantile(np.abs(errors), 0.8) < 0.15  # of 30 presses five miss more
     assert np.abs(errors).max() < 0.31  # 0.290
@@ -195,7 +201,12 @@ def test_results_alias_neither_each_other_nor_scratch(profile: str) -> None:
     fresh = make_reconstructor(calibrated(), PROFILES[profile])
     assert everything(fresh.step(Frame(0, 0, 0, frames[2]))) == before[2]
     for result in results:
-        for array in (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels):
+        for array in (
+            result.height.height_mm,
+            result.height.contact,
+            result.cloud.points_mm,
+            result.cloud.labels,
+        ):
             assert not array.flags.writeable
 
 
@@ -246,7 +257,9 @@ def test_odd_sizes_work() -> None:
     grid = result.height
     assert grid.height_mm.shape == (disc_map.CELLS, disc_map.CELLS)
     reach = (disc_map.CELLS - 1) / 2 * grid.step_px  # its middle is the disc's
-    assert (grid.row0 + reach, grid.col0 + reach) == pytest.approx((model.row_c, model.col_c), abs=1.0)
+    assert (grid.row0 + reach, grid.col0 + reach) == pytest.approx(
+        (model.row_c, model.col_c), abs=1.0
+    )
     assert np.hypot(*result.objects[0].centroid_mm[:2]) < 1.5
 
 
@@ -266,17 +279,26 @@ def test_what_the_image_cuts_off_the_disc_is_outside() -> None:
 @pytest.mark.slow
 def test_an_orthographic_sensor_works() -> None:
     model = replace(HALF, camera_distance_mm=None)
-    seen = [press for press in presses(model) if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8]
-    made = make_reconstructor(calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["balanced"])
+    seen = [
+        press
+        for press in presses(model)
+        if press.depth_mm > 1.0 and np.hypot(press.x_mm, press.y_mm) < 8
+    ]
+    made = make_reconstructor(
+        calibrate(sensor_of(model), references(model), seen).calibration, PROFILES["balanced"]
+    )
     assert not made.step(Frame(0, 0, 0, unloaded(model))).contact
     errors = depth_errors(made, model, product(("ball",), (3.0, 4.0), (0.0,), (0.0,)))
     assert np.abs(errors).max() < 0.25  # 0.240
 
 
 @pytest.mark.parametrize(
-    ("depth_mm", "reported_mm", "saturated"), [(6.0, 6.0, False), (6.4, 6.4, True), (25.0, 20.0, True)]
+    ("depth_mm", "reported_mm", "saturated"),
+    [(6.0, 6.0, False), (6.4, 6.4, True), (25.0, 20.0, True)],
 )
-def test_what_a_network_says_beyond_its_range_is_reported(depth_mm: float, reported_mm: float, saturated: bool) -> None:
+def test_what_a_network_says_beyond_its_range_is_reported(
+    depth_mm: float, reported_mm: float, saturated: bool
+) -> None:
     unit_mm = HALF.skin_radius_mm * np.sin(np.radians(HALF.visible_half_angle_deg)) / HEIGHT_SCALE
     row, col = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
     pressed_cells = np.hypot(row, col) < 20
@@ -339,7 +361,10 @@ def peak_bytes(made: Reconstructor, frame: Frame) -> tuple[Reconstruction, int]:
 @pytest.mark.parametrize("profile", ["fast", "accurate"])
 def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> None:
     made = reconstructor(profile, FULL, 0)
-    contact = [Frame(i, 0, 0, pressed("ball", depth_mm, FULL).image) for i, depth_mm in enumerate((1.0, 2.0))]
+    contact = [
+        Frame(i, 0, 0, pressed("ball", depth_mm, FULL).image)
+        for i, depth_mm in enumerate((1.0, 2.0))
+    ]
     frames = [*contact, Frame(2, 0, 0, unloaded(FULL))]
     for frame in frames:
         made.step(frame)
@@ -349,12 +374,19 @@ def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> N
         for frame in frames:
             result, peak = peak_bytes(made, frame)
             assert (result.valid, result.contact) == (True, frame.seq < len(contact))
-            parts = (result.height.height_mm, result.height.contact, result.cloud.points_mm, result.cloud.labels)
+            parts = (
+                result.height.height_mm,
+                result.height.contact,
+                result.cloud.points_mm,
+                result.cloud.labels,
+            )
             assert result.shear_mm is not None
             assert result.sigma_mm is not None
             parts = (*parts, result.shear_mm, result.sigma_mm)
             own = sum(part.nbytes for part in parts) if result.contact else 0
-            assert peak - own < (1 if profile == "fast" else 2) * IMAGE_BYTES  # `accurate` prepares two pictures
+            assert (
+                peak - own < (1 if profile == "fast" else 2) * IMAGE_BYTES
+            )  # `accurate` prepares two pictures
         del result, parts
         before, _ = tracemalloc.get_traced_memory()
         for _ in range(10):

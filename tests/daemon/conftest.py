@@ -54,7 +54,9 @@ class ScriptedSource:
                 step()
                 continue
             self._seq += 1
-            return Frame(seq=self._seq - 1, t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), image=step)
+            return Frame(
+                seq=self._seq - 1, t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), image=step
+            )
         raise AssertionError("the script of this opening is used up; end it with None or an error")
 
     def skip(self) -> bool:
@@ -109,7 +111,11 @@ def seen(broker: Broker) -> Iterator[Subscriber]:
 
 @pytest.fixture
 def live(
-    tmp_path: Path, broker: Broker, seen: Subscriber, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    broker: Broker,
+    seen: Subscriber,
+    calibration: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Live:
     monkeypatch.setattr(app, "HEALTH_PERIOD_S", 0.2)
     monkeypatch.setattr(app, "STALL_S", 0.8)

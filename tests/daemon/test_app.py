@@ -15,7 +15,17 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from support.running_app import BASE, GONE, NEEDS_BROKER, NO_REASON, STOP_S, Live, assert_accounted, paced, switched
+from support.running_app import (
+    BASE,
+    GONE,
+    NEEDS_BROKER,
+    NO_REASON,
+    STOP_S,
+    Live,
+    assert_accounted,
+    paced,
+    switched,
+)
 
 from tacshade_edge.core.profiles import DEFAULT
 from tacshade_edge.daemon.app import reload
@@ -34,12 +44,19 @@ from tools.testbed.robot import PtyRobot
 pytestmark = NEEDS_BROKER
 
 
-def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, pictures: Any, scripted: Any) -> None:
+def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     def connected() -> None:
         wait_until(lambda: live.payloads("info"), 10, "info")
 
     script = [
-        *(*paced(pictures.free, 20), *paced(pictures.touched, 20), DecodeError("torn"), *paced(pictures.free, 10)),
+        *(
+            *paced(pictures.free, 20),
+            *paced(pictures.touched, 20),
+            DecodeError("torn"),
+            *paced(pictures.free, 10),
+        ),
         *(*paced(pictures.black, 5), *paced(pictures.touched, 3), None),
     ]
     wall_before = time.time_ns()
@@ -48,7 +65,9 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, 
     app.join()
     assert app.error is None
     live.until_state("stopped")
-    wait_until(lambda: live.last("health").get("frames", {}).get("captured") == 59, 5, "the last health")
+    wait_until(
+        lambda: live.last("health").get("frames", {}).get("captured") == 59, 5, "the last health"
+    )
 
     health = live.last("health")
     assert_accounted(health["frames"])
@@ -56,7 +75,9 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, 
     heights = [wire.decode(p) for p in live.payloads("height")]
     assert len(heights) == health["frames"]["published"]
     assert [h.seq for h in heights] == sorted({h.seq for h in heights})
-    deepest = max(float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage))
+    deepest = max(
+        float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage)
+    )
     assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
     assert [h.invalid for h in heights if not h.contact] == [False]
     assert heights[0].calibration_crc32 == live.calibration.crc32
@@ -66,20 +87,30 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(live: Live, 
     assert all(c.contact for c in clouds)
     assert {json.loads(p)["contact"] for p in live.payloads("contact")} == {0, 1}
     info = live.last("info")
-    assert (info["profile"], info["geometry"]["calibration_crc32"]) == (DEFAULT, live.calibration.crc32)
+    assert (info["profile"], info["geometry"]["calibration_crc32"]) == (
+        DEFAULT,
+        live.calibration.crc32,
+    )
     assert health["latency_ms"]["p50"] > 0
     assert {"wait", "check", "grey", "gate", "deliver"} <= set(health["stages_ms"])
-    preview = cv2.imdecode(np.frombuffer(live.payloads("preview")[0], np.uint8), cv2.IMREAD_UNCHANGED)
+    preview = cv2.imdecode(
+        np.frombuffer(live.payloads("preview")[0], np.uint8), cv2.IMREAD_UNCHANGED
+    )
     assert preview.shape[:2] == (240, 320)
 
 
 def test_a_broker_that_takes_small_messages_only_is_a_degraded_state(
     tmp_path: Path, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
-    with Broker(tmp_path, more=("message_size_limit 4000",)) as broker, Subscriber(broker.port, f"{BASE}/#") as heard:
+    with (
+        Broker(tmp_path, more=("message_size_limit 4000",)) as broker,
+        Subscriber(broker.port, f"{BASE}/#") as heard,
+    ):
         live = Live(tmp_path, broker, heard, calibration)
         with live.run(scripted(paced(pictures.touched))) as app:
-            live.until("status/broker", state="limited", reason_code="message_size_limit", seconds=20)
+            live.until(
+                "status/broker", state="limited", reason_code="message_size_limit", seconds=20
+            )
             live.until_state("degraded")
             wait_until(lambda: app.counts().failed > 0, 20, "frames that were refused")
         assert live.payloads("contact")
@@ -117,7 +148,9 @@ def test_a_source_that_can_never_work_ends_the_daemon(live: Live, scripted: Any)
 # While its camera or its broker is gone, hangs, or shows nothing of use.
 
 
-def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(live: Live, pictures: Any, scripted: Any) -> None:
+def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     app = live.run(scripted([*paced(pictures.free, 10), GONE], GONE, GONE, paced(pictures.touched)))
     try:
         live.seen.wait_for(f"{BASE}/height", 5, 10)
@@ -133,7 +166,9 @@ def test_a_lost_camera_degrades_and_a_new_one_brings_the_stream_back(live: Live,
     assert_accounted(live.last("health")["frames"])
 
 
-def test_a_camera_that_hangs_degrades_and_a_stop_is_quick(live: Live, pictures: Any, scripted: Any) -> None:
+def test_a_camera_that_hangs_degrades_and_a_stop_is_quick(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     first, second = threading.Event(), threading.Event()
     script = [pictures.free, first.wait, *paced(pictures.free, 20), second.wait, None]
     app = live.run(scripted(script))
@@ -151,7 +186,9 @@ def test_a_camera_that_hangs_degrades_and_a_stop_is_quick(live: Live, pictures: 
         second.set()
 
 
-def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(live: Live, pictures: Any, scripted: Any) -> None:
+def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     document = live.document()
     away = msgspec.structs.replace(document.settings.mqtt, port=free_port())
     absent = live.run(
@@ -177,7 +214,9 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
     tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
     broker.stop()
-    app = Live(tmp_path, broker, Subscriber(broker.port), calibration).run(scripted(paced(pictures.touched)))
+    app = Live(tmp_path, broker, Subscriber(broker.port), calibration).run(
+        scripted(paced(pictures.touched))
+    )
     try:
         wait_until(lambda: app.counts().superseded > 5, 10, "frames before the first broker")
         assert app.counts().failed == 0
@@ -190,13 +229,17 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
                 info = json.loads(seen.wait_for(f"{BASE}/info")[-1])
                 assert info["geometry"]["calibration_crc32"] == calibration.crc32
             broker.stop()
-        assert app.counts().pending <= 6  # one in the mailbox, one in work, and the link's slot and two unsent
+        assert (
+            app.counts().pending <= 6
+        )  # one in the mailbox, one in work, and the link's slot and two unsent
     finally:
         assert app.end() < stretched(STOP_S)
     assert_accounted(app.counts().as_dict())
 
 
-def test_nothing_but_invalid_frames_is_a_degraded_state(live: Live, pictures: Any, scripted: Any) -> None:
+def test_nothing_but_invalid_frames_is_a_degraded_state(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     dark, free = threading.Event(), threading.Event()
 
     def script() -> Iterator[Any]:
@@ -220,9 +263,17 @@ def test_nothing_but_invalid_frames_is_a_degraded_state(live: Live, pictures: An
 
 
 def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, scripted: Any) -> None:
-    link, code, touched = Path(f"/dev/shm/tacshade-raw-{os.getpid()}"), "not_calibrated", threading.Event()
-    settings = live.document(f"calibration: c.npz\nserial: {{device: {link}}}\nstitching: {{folder: sessions}}\n")
-    settings.path.write_text(settings.path.read_text().replace("mqtt: {", "mqtt: {home_assistant: true, "))
+    link, code, touched = (
+        Path(f"/dev/shm/tacshade-raw-{os.getpid()}"),
+        "not_calibrated",
+        threading.Event(),
+    )
+    settings = live.document(
+        f"calibration: c.npz\nserial: {{device: {link}}}\nstitching: {{folder: sessions}}\n"
+    )
+    settings.path.write_text(
+        settings.path.read_text().replace("mqtt: {", "mqtt: {home_assistant: true, ")
+    )
     settings = load(settings.path)
     missing, calibration = calibrations.find_calibration(settings), live.folder / "c.npz"
     assert isinstance(missing, Reason)
@@ -230,11 +281,17 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         PtyRobot(link, rate_hz=20, binary=True) as robot,
         live.run(scripted(switched(pictures, touched)), settings, missing),
     ):
-        picture = cv2.imdecode(np.frombuffer(live.seen.wait_for(f"{BASE}/preview", 1, 10)[0], np.uint8), 0)
+        picture = cv2.imdecode(
+            np.frombuffer(live.seen.wait_for(f"{BASE}/preview", 1, 10)[0], np.uint8), 0
+        )
         assert picture.shape == (240, 320)
         camera = live.until("status/camera", state="unusable")
         assert (camera["reason_code"], camera["script"]) == (code, "test")
-        for text in (f"found no file {calibration}", f"capture DIR --config {settings.path}", f"--out {calibration}"):
+        for text in (
+            f"found no file {calibration}",
+            f"capture DIR --config {settings.path}",
+            f"--out {calibration}",
+        ):
             assert text in camera["reason"]
         live.seen.wait_for_last(f"{BASE}/state", b"degraded")
         button = live.seen.wait_for("homeassistant/button/hand-1/rezero/config")[0]
@@ -243,7 +300,11 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         assert (info["geometry"], info["reference"], info["reason_code"]) == (None, None, code)
         assert info["reason"] == camera["reason"]
         assert live.last("contact")["reason_code"] == code
-        wait_until(lambda: live.last("health").get("frames", {}).get("invalid", 0) > 0, 10, "frames are counted")
+        wait_until(
+            lambda: live.last("health").get("frames", {}).get("invalid", 0) > 0,
+            10,
+            "frames are counted",
+        )
         assert live.last("health")["invalid_reason_code"] == code
 
         requests: dict[str, dict[str, Any]] = {"reference": {}, "profile": {"profile": "fast"}}
@@ -253,18 +314,27 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         status = live.ask("status")
         assert (status["ok"], status["result"]["reason_code"]) == (True, code)
         robot.ask("CAPTURE")
-        wait_until(lambda: any(" UNCALIBRATED not calibrated: " in a for a in robot.answers), 10, "CAPTURE")
+        wait_until(
+            lambda: any(" UNCALIBRATED not calibrated: " in a for a in robot.answers), 10, "CAPTURE"
+        )
 
         calibration.write_bytes(b"nothing of the kind")
         wait_until(
-            lambda: "not a calibration" in live.last("status/camera")["reason"] + live.last("info")["reason"], 10
+            lambda: (
+                "not a calibration"
+                in live.last("status/camera")["reason"] + live.last("info")["reason"]
+            ),
+            10,
         )
         assert live.last("status/camera")["reason_code"] == code
         calibration_file.save(calibration, live.calibration)
         live.until_state("online")
         assert live.last("status/camera")["state"] == "streaming"
         info = live.last("info")
-        assert (info["geometry"]["calibration_crc32"], info["reason"]) == (calibration_file.load(calibration).crc32, "")
+        assert (info["geometry"]["calibration_crc32"], info["reason"]) == (
+            calibration_file.load(calibration).crc32,
+            "",
+        )
         assert not live.payloads("height")
         touched.set()
         assert wire.decode(live.seen.wait_for(f"{BASE}/height", 1, 10)[0]).contact

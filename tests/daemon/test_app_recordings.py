@@ -39,12 +39,20 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         started = live.ask("record", action="start", seconds=600, name="one")
         assert started == {"ok": True, "result": {"folder": str(folder)}}
         again = live.ask("record", action="start", seconds=600, name="two")
-        assert again == {"ok": False, "error": f"busy: already recording to {folder}", "reason_code": "busy"}
+        assert again == {
+            "ok": False,
+            "error": f"busy: already recording to {folder}",
+            "reason_code": "busy",
+        }
         wait_until(lambda: recorded()["frames"] > 5, 10, "frames")
         assert recorded()["state"] == "recording"
         assert live.ask("record", action="mark", text="now")["result"]["folder"] == str(folder)
         lose.set()
-        wait_until(lambda: any(str(GONE).encode() in each for each in live.payloads("status/camera")), 10, "lost")
+        wait_until(
+            lambda: any(str(GONE).encode() in each for each in live.payloads("status/camera")),
+            10,
+            "lost",
+        )
         live.until("status/camera", state="streaming")
         frames = recorded()["frames"]
         live.ask("profile", profile="paper")
@@ -58,7 +66,9 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
 
         # The next has the new reference beside it, and a stop that is answered when all is written.
         live.ask("record", action="start", seconds=600, name="two")
-        wait_until(lambda: recorded()["state"] == "recording" and recorded()["frames"] > 5, 10, "frames")
+        wait_until(
+            lambda: recorded()["state"] == "recording" and recorded()["frames"] > 5, 10, "frames"
+        )
         stopped = live.ask("record", action="stop")["result"]
         assert (stopped["ending"], stopped["ending_code"]) == ("stopped", "stopped")
         assert len(read_table(live.folder / "recs" / "two" / "frames.csv")) == stopped["frames"]
@@ -66,7 +76,12 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
         live.until("status/recorder", state="idle")
     events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     assert events.pop(1)["data"] == {"text": "now"}
-    assert [event["kind"] for event in events] == ["start", "source", "source", *["reconstruction"] * 3]
+    assert [event["kind"] for event in events] == [
+        "start",
+        "source",
+        "source",
+        *["reconstruction"] * 3,
+    ]
     assert [event["data"]["state"] for event in events[:3]] == ["streaming", "away", "streaming"]
     assert (events[1]["data"]["reason"], events[1]["data"]["reason_code"]) == (str(GONE), "device")
     assert [event["data"]["profile"] for event in events[3:]] == ["paper", "fast", "fast"]
@@ -77,16 +92,26 @@ def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_referenc
     assert rows[0].t_ns < events[1]["t_ns"] < rows[-1].t_ns
 
 
-def test_a_recording_begins_before_it_is_asked_for(live: Live, pictures: Any, scripted: Any) -> None:
+def test_a_recording_begins_before_it_is_asked_for(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     path = live.document().path
     path.write_text(path.read_text().replace("recs}", "recs, pre_roll_s: 30}"))
     with live.run(scripted(paced(pictures.free)), load(path)):
-        wait_until(lambda: live.last("health").get("recorder", {}).get("pre_roll", 0) > 20, 10, "frames are kept")
+        wait_until(
+            lambda: live.last("health").get("recorder", {}).get("pre_roll", 0) > 20,
+            10,
+            "frames are kept",
+        )
         assert live.ask("record", action="start", seconds=600, name="one")["ok"]
         assert live.ask("record", action="mark")["ok"]
         stopped = live.ask("record", action="stop")["result"]
         counts = {"written": stopped["frames"], "dropped": 0, "waiting": 0, "pre_roll_dropped": 0}
-        wait_until(lambda: counts.items() <= live.last("health")["recorder"].items(), 5, f"health reports {counts}")
+        wait_until(
+            lambda: counts.items() <= live.last("health")["recorder"].items(),
+            5,
+            f"health reports {counts}",
+        )
     folder = live.folder / "recs" / "one"
     events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     start_ns = next(event["t_ns"] for event in events if event["kind"] == "start")

@@ -43,14 +43,20 @@ def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
         assert taken["ok"] is True, taken
         assert taken["result"]["frames"] == 10
         crc = taken["result"]["calibration_crc32"]
-        wait_until(lambda: live.last("info")["geometry"]["calibration_crc32"] == crc, 5, "info reports the reference")
+        wait_until(
+            lambda: live.last("info")["geometry"]["calibration_crc32"] == crc,
+            5,
+            "info reports the reference",
+        )
         touch.set()
         heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
         assert wire.decode(heights[-1]).calibration_crc32 == crc
         assert live.ask("reference")["reason_code"] == "frame_in_contact"
 
 
-def test_a_requested_reference_outlives_a_restart_and_a_reload(live: Live, pictures: Any, scripted: Any) -> None:
+def test_a_requested_reference_outlives_a_restart_and_a_reload(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
     calibration_file.save(live.folder / "cal.npz", live.calibration)
     settings = live.document("calibration: cal.npz\n")
     darker = np.asarray(pictures.free * 0.8, np.uint8)
@@ -74,7 +80,10 @@ def test_a_requested_reference_outlives_a_restart_and_a_reload(live: Live, pictu
     with live.run(scripted(paced(darker)), settings) as app:
         live.seen.wait_for(f"{BASE}/info", before + 1, 10)
         assert origin() == ("request", crc)
-        other = replace(live.calibration, reference_grey=np.asarray(live.calibration.reference_grey // 2, np.uint8))
+        other = replace(
+            live.calibration,
+            reference_grey=np.asarray(live.calibration.reference_grey // 2, np.uint8),
+        )
         newer = calibration_file.save(live.folder / "cal.npz", other)
         app.app.reload()
         wait_until(lambda: origin() == ("calibration", newer.crc32), 5, "the new calibration's own")
@@ -90,7 +99,9 @@ def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
 
     def ageing() -> Iterator[Any]:
         while True:
-            yield from paced(np.asarray(pictures.free * (0.9 if age.is_set() else 1.0), np.uint8), 2)
+            yield from paced(
+                np.asarray(pictures.free * (0.9 if age.is_set() else 1.0), np.uint8), 2
+            )
 
     def following() -> dict[str, Any]:
         reference: dict[str, Any] = live.last("health").get("reference", {})
@@ -127,7 +138,11 @@ class Late:
 
 
 def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
-    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    live: Live,
+    pictures: Any,
+    scripted: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)
     for name, value in (("PATIENCE_S", 0.2), ("WINDOW_FRAMES", 15), ("LATE_FRAMES", 2)):
@@ -145,13 +160,21 @@ def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
     with live.run(source, f"profile: auto\nlatency_budget_ms: {budget_ms}\n"):
         wait_until(lambda: budget().get("kept"), 20, "the budget is kept")
         info = live.last("info")
-        assert (info["choice"], info["profile"], info["profiles"]) == ("auto", ladder[0], [*PROFILES, "auto"])
+        assert (info["choice"], info["profile"], info["profiles"]) == (
+            "auto",
+            ladder[0],
+            [*PROFILES, "auto"],
+        )
         assert budget()["p90_ms"] <= budget_ms == budget()["latency_budget_ms"]
 
         source.ms = 5 * budget_ms
         wait_until(lambda: used()[-1] == ladder[-1], 20, "stepped down")
         wait_until(lambda: budget().get("kept") is False, 20, "health says that it is not kept")
-        assert (budget()["profile"], budget()["steps_down"], budget()["steps_up"]) == (ladder[-1], len(ladder) - 1, 0)
+        assert (budget()["profile"], budget()["steps_down"], budget()["steps_up"]) == (
+            ladder[-1],
+            len(ladder) - 1,
+            0,
+        )
         assert budget()["p90_ms"] > budget_ms
 
         source.ms = 0
@@ -168,5 +191,9 @@ def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
         live.until("info", choice="auto")
     live.until_state("stopped")
     assert_accounted(live.last("health")["frames"])
-    steps = [record for record in caplog.records if record.getMessage().startswith("profile auto: stepped from ")]
+    steps = [
+        record
+        for record in caplog.records
+        if record.getMessage().startswith("profile auto: stepped from ")
+    ]
     assert len(steps) == 2 * (len(ladder) - 1)

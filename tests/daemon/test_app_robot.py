@@ -40,7 +40,9 @@ def link() -> Iterator[Path]:
     path.unlink(missing_ok=True)
 
 
-def test_poses_and_commands_from_the_line_to_a_subscriber(live: Live, link: Path, pictures: Any, scripted: Any) -> None:
+def test_poses_and_commands_from_the_line_to_a_subscriber(
+    live: Live, link: Path, pictures: Any, scripted: Any
+) -> None:
     touched = threading.Event()
 
     def stream() -> Iterator[Any]:
@@ -48,7 +50,9 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(live: Live, link: Path
             yield from paced(pictures.touched if touched.is_set() else pictures.free, 1)
 
     def assert_near(pose: Any, t_ns: int, slack_mm: float) -> None:
-        assert (pose.x_mm, pose.y_mm) == pytest.approx(motion(t_ns / 1e9 - robot.began_s)[:2], abs=slack_mm)
+        assert (pose.x_mm, pose.y_mm) == pytest.approx(
+            motion(t_ns / 1e9 - robot.began_s)[:2], abs=slack_mm
+        )
 
     def answer(text: str) -> str:
         before = len(robot.answers)
@@ -73,7 +77,9 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(live: Live, link: Path
         assert "found a contact" in refused
         for message in map(wire.decode, live.payloads("height")):
             if message.pose is not None:
-                assert_near(message.pose, message.t_ns, 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02)
+                assert_near(
+                    message.pose, message.t_ns, 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02
+                )
                 assert 0 < message.pose_error_us < 100_000
         assert live.ask("record", action="start", seconds=60, name="r")["ok"]
         wait_until(lambda: live.last("status/recorder").get("frames", 0) > 10, 15, "a recording")
@@ -82,7 +88,11 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(live: Live, link: Path
         assert rows
         for row in rows:
             assert_near(row.pose, row.t_ns, 0.3)
-        wait_until(lambda: live.last("health").get("serial", {}).get("frames_with_pose", 0) > 0, 10, "health")
+        wait_until(
+            lambda: live.last("health").get("serial", {}).get("frames_with_pose", 0) > 0,
+            10,
+            "health",
+        )
         robot.unplug()
         live.until("status/serial", state="away")
         robot.plug()
@@ -95,7 +105,9 @@ def presses() -> list[tuple[PoseValues, U8]]:
     found = []
     for k, pose in enumerate(scan(PAD, 4.0, 2.5, HALF.skin_radius_mm)[:4]):
         shape = PAD.under(pose, HALF.skin_radius_mm)
-        found.append((pose.seven(), simulated().frame((Press(shape, 0.0, 0.0, 0.0),), 70 + k).image))
+        found.append(
+            (pose.seven(), simulated().frame((Press(shape, 0.0, 0.0, 0.0),), 70 + k).image)
+        )
     return found
 
 
@@ -107,8 +119,12 @@ class Cell:
         self._scripted = scripted
         self._closing = ExitStack()
         self.place, self.shown, self.frames = HOME, unloaded(), threading.Event()
-        self.robot = self._closing.enter_context(PtyRobot(link, rate_hz=100, binary=True, where=lambda _: self.place))
-        self._settings = live.document(f"profile: fast\nserial: {{device: {link}}}\nstitching: {{folder: maps}}\n")
+        self.robot = self._closing.enter_context(
+            PtyRobot(link, rate_hz=100, binary=True, where=lambda _: self.place)
+        )
+        self._settings = live.document(
+            f"profile: fast\nserial: {{device: {link}}}\nstitching: {{folder: maps}}\n"
+        )
         self._start()
 
     def _start(self) -> None:
@@ -134,8 +150,12 @@ class Cell:
         try:
             wait_until(condition, DEADLINE_S, what)
         except AssertionError as error:
-            known = {topic: self.last(topic) for topic in ("status/serial", "status/stitching", "health")}
-            raise AssertionError(f"{error}; {known}; the robot: {self.robot.counts} {self.robot.events}") from None
+            known = {
+                topic: self.last(topic) for topic in ("status/serial", "status/stitching", "health")
+            }
+            raise AssertionError(
+                f"{error}; {known}; the robot: {self.robot.counts} {self.robot.events}"
+            ) from None
 
     def ask(self, verb: str, **request: Any) -> Any:
         """The result of a request, or its error."""
@@ -217,8 +237,12 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
     for name in () if missed or dropped else ("map.ply", "map.png", "map.npz", "preview.png"):
         assert (live / name).read_bytes() == (offline / name).read_bytes(), name
     _, added = StitchFile.resume(live)
-    for (_, base_T_sensor), (pose, _) in zip(added, presses(), strict=True):  # the sensor is the flange
-        np.testing.assert_allclose(base_T_sensor.seven()[:3], pose[:3], atol=1e-5)  # binary poses are float32
+    for (_, base_T_sensor), (pose, _) in zip(
+        added, presses(), strict=True
+    ):  # the sensor is the flange
+        np.testing.assert_allclose(
+            base_T_sensor.seven()[:3], pose[:3], atol=1e-5
+        )  # binary poses are float32
         assert abs(np.dot(base_T_sensor.seven()[3:], pose[3:])) == pytest.approx(1, abs=1e-6)
     with np.load(live / "map.npz") as npz:
         known = np.isfinite(npz["z_mm"])

@@ -70,10 +70,15 @@ def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
         finally:
             running.end()
         seen.wait_for_last(f"{BASE}/state", b"stopped")
-        ours = [message for message in list(seen.messages) if not message.topic.startswith(f"{BASE}/req/")]
+        ours = [
+            message
+            for message in list(seen.messages)
+            if not message.topic.startswith(f"{BASE}/req/")
+        ]
         wrong = {
             message.topic: (found, expected)
             for message in ours
-            if (found := getattr(message.properties, "ContentType", None)) != (expected := kind_of(message.payload))
+            if (found := getattr(message.properties, "ContentType", None))
+            != (expected := kind_of(message.payload))
         }
     assert wrong == {}

@@ -84,7 +84,9 @@ def result(t_ns: int, *, contact: bool = False, reason: Reason | None = None) ->
     cloud = ObjectCloud(np.zeros((1, 3), np.float32), np.ones(1, np.uint16))
     objects = (TouchedObject(1, (0, 0, 20), (0, 0, 0), 1.0, 2.0),) if contact else ()
     valid = reason is None
-    return Reconstruction(7, t_ns, 0, "fast", valid, reason, contact, False, None, grid, cloud, objects)
+    return Reconstruction(
+        7, t_ns, 0, "fast", valid, reason, contact, False, None, grid, cloud, objects
+    )
 
 
 def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
@@ -109,13 +111,23 @@ def test_without_contact_it_reports_ten_times_a_second(rig: Rig) -> None:
 
 def test_every_change_is_reported_at_once(rig: Rig) -> None:
     torn = Reason(ReasonCode.TORN, "torn")
-    for t_ns, more in enumerate(({}, {"contact": True}, {}, {}, {"reason": torn}, {"reason": torn}, {})):
+    for t_ns, more in enumerate(
+        ({}, {"contact": True}, {}, {}, {"reason": torn}, {"reason": torn}, {})
+    ):
         rig.see(result(t_ns, **more))  # type: ignore[arg-type]
     states = [(f.t_ns, f.state, f.reason_code) for f in rig.reported()]
-    assert states == [(0, "free", ""), (1, "contact", ""), (2, "free", ""), (4, "away", "torn"), (6, "free", "")]
+    assert states == [
+        (0, "free", ""),
+        (1, "contact", ""),
+        (2, "free", ""),
+        (4, "away", "torn"),
+        (6, "free", ""),
+    ]
 
 
-def test_nothing_is_reported_while_nobody_listens_and_all_of_it_when_somebody_does(rig: Rig) -> None:
+def test_nothing_is_reported_while_nobody_listens_and_all_of_it_when_somebody_does(
+    rig: Rig,
+) -> None:
     rig.see(result(0))
     rig.lines.want(False)
     rig.see(result(1))

@@ -15,7 +15,15 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
-from tacshade_edge.daemon.pipeline import LOOK_EVERY, Crash, Grab, Mailbox, Pipeline, Reconstruct, crashes_to
+from tacshade_edge.daemon.pipeline import (
+    LOOK_EVERY,
+    Crash,
+    Grab,
+    Mailbox,
+    Pipeline,
+    Reconstruct,
+    crashes_to,
+)
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -26,7 +34,9 @@ OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
 
 
 @given(st.lists(st.sampled_from([*OUTCOMES, None, "undecodable"]), max_size=40))
-def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(ends: list[FrameOutcome | str | None]) -> None:
+def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(
+    ends: list[FrameOutcome | str | None],
+) -> None:
     ledger = FrameLedger()
     for seq, end in enumerate(ends):
         if end in ("undecodable", "unasked"):
@@ -123,10 +133,18 @@ class Published(FrameObserver):
 
 
 def pipeline(
-    source: Any, calibration: Calibration, states: list[SourceState], make: type[FrameObserver] = Published
+    source: Any,
+    calibration: Calibration,
+    states: list[SourceState],
+    make: type[FrameObserver] = Published,
 ) -> Pipeline:
-    running, ledger = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])), FrameLedger()
-    return Pipeline(source, lambda: running.reconstructor, [make(ledger)], ledger, Timings(), states.append)  # type: ignore[call-arg]
+    running, ledger = (
+        SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])),
+        FrameLedger(),
+    )
+    return Pipeline(
+        source, lambda: running.reconstructor, [make(ledger)], ledger, Timings(), states.append
+    )  # type: ignore[call-arg]
 
 
 def test_a_stop_finishes_the_frame_that_waits(
@@ -193,7 +211,9 @@ def rig() -> Iterator[Callable[[Any], Rig]]:
 
 
 def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: Any) -> None:
-    r = rig(scripted([pictures.free, pictures.free, DecodeError("torn.png: cut"), pictures.free, None]))
+    r = rig(
+        scripted([pictures.free, pictures.free, DecodeError("torn.png: cut"), pictures.free, None])
+    )
     r.thread.join(patience(10))
     assert r.states() == [("streaming", ""), ("ended", "")]
     assert r.reported[0].details == {"script": "test"}
@@ -204,8 +224,20 @@ def test_a_finite_source_is_read_to_its_end(rig: Any, scripted: Any, pictures: A
     assert newest.seq == 2
 
 
-def test_a_source_that_begins_with_what_is_no_image_says_so_once(rig: Any, scripted: Any, pictures: Any) -> None:
-    r = rig(scripted([DecodeError("0.png: cut"), DecodeError("1.png: cut"), pictures.free, DecodeError("3.png"), None]))
+def test_a_source_that_begins_with_what_is_no_image_says_so_once(
+    rig: Any, scripted: Any, pictures: Any
+) -> None:
+    r = rig(
+        scripted(
+            [
+                DecodeError("0.png: cut"),
+                DecodeError("1.png: cut"),
+                pictures.free,
+                DecodeError("3.png"),
+                None,
+            ]
+        )
+    )
     r.thread.join(patience(10))
     assert r.states() == [("away", "0.png: cut"), ("streaming", ""), ("ended", "")]
     assert r.reported[0].reason == Reason(ReasonCode.DECODE, "0.png: cut")
@@ -219,7 +251,9 @@ def test_pauses_grow_to_a_second_and_only_a_frame_resets_them(
     silent: list[Any] = [[GONE]] * 4  # opens, but gives no frame
     r = rig(scripted(*silent, [pictures.free, GONE], [None]))
     wait_until(lambda: r.states()[-1:] == [("ended", "")])
-    pauses = [(b - a) / 1e9 for a, b in zip(r.source.opened_ns, r.source.opened_ns[1:], strict=False)]
+    pauses = [
+        (b - a) / 1e9 for a, b in zip(r.source.opened_ns, r.source.opened_ns[1:], strict=False)
+    ]
     for pause, least in zip(pauses, [0.1, 0.2, 0.4, 0.8, 0.1], strict=True):
         assert pause >= 0.99 * least
     assert r.grab.retry_s == 0.2  # the reset and one more pause
@@ -283,7 +317,10 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
 ) -> None:
     mailbox: Mailbox[Frame] = Mailbox()
     ledger, timings, watched = FrameLedger(), Timings(), Watched(on=True)
-    running, sink = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])), Collected(ledger)
+    running, sink = (
+        SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"])),
+        Collected(ledger),
+    )
     worker = Reconstruct(lambda: running.reconstructor, mailbox, timings, [sink, watched])
     thread = threading.Thread(target=worker.run)
     thread.start()
@@ -304,7 +341,12 @@ def test_reconstruct_delivers_times_and_settles_every_frame(
         (True, False, "paper"),
     ]
     counts = ledger.counts().as_dict()
-    assert (counts["captured"], counts["published"], counts["without_contact"], counts["invalid"]) == (4, 1, 2, 1)
+    assert (
+        counts["captured"],
+        counts["published"],
+        counts["without_contact"],
+        counts["invalid"],
+    ) == (4, 1, 2, 1)
     assert counts["pending"] == 0
     stages = timings.percentiles()
     assert set(stages) == {"wait", "check", "grey", "gate", "depth", "cloud", "deliver", "latency"}
@@ -330,7 +372,9 @@ class InTurn:
 class Alone:
     """`Grab` and `Reconstruct` on a scripted source, in one thread."""
 
-    def __init__(self, source: Any, calibration: Calibration, tapped: FrameObserver, watched: Watched) -> None:
+    def __init__(
+        self, source: Any, calibration: Calibration, tapped: FrameObserver, watched: Watched
+    ) -> None:
         self.ledger, self.timings = FrameLedger(), Timings()
         self.sink = Collected(self.ledger, asks=False)
         running = SimpleNamespace(reconstructor=make_reconstructor(calibration, PROFILES["fast"]))
@@ -339,7 +383,9 @@ class Alone:
             lambda: running.reconstructor, mailbox, self.timings, [self.sink, watched]
         )
         self.states: list[SourceState] = []
-        Grab(source, mailbox, self.ledger, self.states.append, [tapped], self.worker.wants_next).run()
+        Grab(
+            source, mailbox, self.ledger, self.states.append, [tapped], self.worker.wants_next
+        ).run()
 
 
 def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
@@ -350,13 +396,27 @@ def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
     others = [touched] * (LOOK_EVERY - 1)
     # After an invalid frame all are looked at; after one that somebody asked for it is one in six again.
     watched.once = True
-    script = [free, *others, touched, *others, black, black, lambda: setattr(watched, "on", True), touched]
+    script = [
+        free,
+        *others,
+        touched,
+        *others,
+        black,
+        black,
+        lambda: setattr(watched, "on", True),
+        touched,
+    ]
     script += [free, *others[1:], None]
     source = scripted(script)
     alone = Alone(source, calibration, FrameObserver(), watched)
     found = [(r.seq, r.valid, r.contact) for r in alone.sink.results]
     last = 2 * LOOK_EVERY + 2
-    assert found == [(0, True, False), (last - 2, False, False), (last - 1, False, False), (last, True, True)]
+    assert found == [
+        (0, True, False),
+        (last - 2, False, False),
+        (last - 1, False, False),
+        (last, True, True),
+    ]
     assert source.skipped == 3 * (LOOK_EVERY - 1)
     assert alone.ledger.counts().as_dict() == {
         **dict.fromkeys(("superseded", "failed", "pending"), 0),
@@ -387,9 +447,15 @@ def test_what_is_recorded_is_read_and_looked_at_no_more_often(
     calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
     tape = Taping()
-    source = scripted([*[pictures.free] * (LOOK_EVERY + 1), lambda: setattr(tape, "on", False), None])
+    source = scripted(
+        [*[pictures.free] * (LOOK_EVERY + 1), lambda: setattr(tape, "on", False), None]
+    )
     alone = Alone(source, calibration, tape, Watched(on=False))
     assert tape.seqs == list(range(LOOK_EVERY + 1))
     assert source.skipped == 0
     counts = alone.ledger.counts()
-    assert (alone.worker.processed, counts.without_contact, counts.unasked) == (2, 2, LOOK_EVERY - 1)
+    assert (alone.worker.processed, counts.without_contact, counts.unasked) == (
+        2,
+        2,
+        LOOK_EVERY - 1,
+    )

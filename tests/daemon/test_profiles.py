@@ -87,7 +87,10 @@ def test_a_load_steps_down_quickly_and_its_end_steps_up_again() -> None:
     machine.run(5, load=3.5)
     assert machine.path() == ["balanced", "fast"]  # 20.5 ms became 10
     machine.run(120, load=3.5)
-    assert machine.path() == ["balanced", "fast"]  # nothing better is expected to keep it, so nothing is tried
+    assert machine.path() == [
+        "balanced",
+        "fast",
+    ]  # nothing better is expected to keep it, so nothing is tried
     machine.run(3 * PATIENCE_S)
     assert machine.path() == ["balanced", "fast", "balanced", "accurate"]
     text = "90 % of 60 frames took up to 8.0 ms; the next more accurate profile should take 13.0 ms"
@@ -148,7 +151,9 @@ BEST, CHEAPEST = LADDER[0], LADDER[-1]
 class Daemon:
     """An active profile whose measurements the test states."""
 
-    def __init__(self, calibration: Calibration, choice: str = AUTO, budget_ms: float | None = BUDGET_MS) -> None:
+    def __init__(
+        self, calibration: Calibration, choice: str = AUTO, budget_ms: float | None = BUDGET_MS
+    ) -> None:
         made = make_reconstructor(calibration, PROFILES[CHEAPEST])
         self.stepped: list[Step] = []
         self.active = ActiveProfile(made, choice, budget_ms, self.stepped.append)
@@ -177,7 +182,10 @@ def test_a_step_is_wanted_in_the_one_thread_and_done_in_the_other(
     caplog.set_level(logging.INFO)
     daemon = Daemon(calibration)
     assert (daemon.profile, daemon.active.choice) == (BEST, AUTO)
-    assert f"profile auto: starting with {BEST} for a budget of 10000 ms; measured costs: {BEST} " in caplog.text
+    assert (
+        f"profile auto: starting with {BEST} for a budget of 10000 ms; measured costs: {BEST} "
+        in caplog.text
+    )
     assert daemon.active.health() == {
         "latency_budget_ms": BUDGET_MS,
         "profile": BEST,
@@ -215,21 +223,31 @@ def test_a_step_makes_nothing_and_a_profile_comes_back_as_it_was(calibration: Ca
     assert budget["steps_down"] == budget["steps_up"] == len(LADDER) - 1
 
 
-def test_another_reference_or_calibration_keeps_the_profile_and_what_was_found_out(calibration: Calibration) -> None:
+def test_another_reference_or_calibration_keeps_the_profile_and_what_was_found_out(
+    calibration: Calibration,
+) -> None:
     daemon = Daemon(calibration)
     daemon.frames(7, 2 * BUDGET_MS)
     other = with_crc(replace(calibration, noise_grey=calibration.noise_grey + 1))
     daemon.active.use(other)  # between the wish and the step
     assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (BEST, other.crc32)
     assert daemon.active.step(daemon.stepped[0])
-    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (LADDER[1], other.crc32)
+    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (
+        LADDER[1],
+        other.crc32,
+    )
     daemon.active.reload(AUTO, BUDGET_MS, calibration)
-    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (LADDER[1], calibration.crc32)
+    assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (
+        LADDER[1],
+        calibration.crc32,
+    )
     daemon.active.reload(AUTO, 2 * BUDGET_MS, calibration)  # another budget: from the start
     assert (daemon.profile, daemon.active.budget_ms) == (BEST, 2 * BUDGET_MS)
 
 
-def test_a_profile_that_was_asked_for_ends_auto_and_a_late_wish_is_not_heard(calibration: Calibration) -> None:
+def test_a_profile_that_was_asked_for_ends_auto_and_a_late_wish_is_not_heard(
+    calibration: Calibration,
+) -> None:
     daemon = Daemon(calibration)
     assert daemon.active.choices == (*PROFILES, AUTO)
     daemon.frames(7, 2 * BUDGET_MS)
@@ -264,14 +282,18 @@ def test_a_budget_that_the_fastest_does_not_keep_is_reported_once(
 
     def warnings() -> list[str]:
         daemon.active.log_late()
-        return [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+        return [
+            record.getMessage() for record in caplog.records if record.levelno == logging.WARNING
+        ]
 
     assert warnings() == []
     daemon.frames(20, 2 * BUDGET_MS)
     assert (
         warnings()
         == warnings()
-        == [f"{CHEAPEST}, the fastest profile, misses the budget of 10000 ms: 90 % of frames took up to 20000.0 ms"]
+        == [
+            f"{CHEAPEST}, the fastest profile, misses the budget of 10000 ms: 90 % of frames took up to 20000.0 ms"
+        ]
     )
     daemon.frames(WINDOW_FRAMES, 0.9 * BUDGET_MS)
     for _ in range(CALM_S - 1):

@@ -53,7 +53,10 @@ class Played:
     """What the publisher offered for a run of pictures."""
 
     def __init__(
-        self, calibration: Calibration, images: list[Any], wanted: tuple[str, ...] = ("height", "cloud", "contact")
+        self,
+        calibration: Calibration,
+        images: list[Any],
+        wanted: tuple[str, ...] = ("height", "cloud", "contact"),
     ) -> None:
         self.offers: list[tuple[str, bytes, int]] = []
         settled: dict[int, FrameOutcome] = {}
@@ -79,12 +82,16 @@ class Played:
         return [wire.decode(payload) for s, payload, _ in self.offers if s == stream]
 
 
-def test_contact_is_published_with_every_frame_and_its_end_once(calibration: Calibration, pictures: Any) -> None:
+def test_contact_is_published_with_every_frame_and_its_end_once(
+    calibration: Calibration, pictures: Any
+) -> None:
     free, touched = pictures.free, pictures.touched
     played = Played(calibration, [free, free, touched, touched, free, free, free, touched])
     assert played.seqs("height") == [2, 3, 4, 7]
     assert played.seqs("cloud") == [2, 3, 7]
-    assert played.outcomes == ["without_contact"] * 2 + [None] * 3 + ["without_contact"] * 2 + [None]
+    assert played.outcomes == ["without_contact"] * 2 + [None] * 3 + ["without_contact"] * 2 + [
+        None
+    ]
     first, _, release, _ = played.decoded("height")
     assert (first.contact, first.seq, first.calibration_crc32) == (True, 2, calibration.crc32)
     assert np.nanmax(first.height_mm) == pytest.approx(touched_depth_mm(), abs=0.001)
@@ -95,7 +102,9 @@ def test_contact_is_published_with_every_frame_and_its_end_once(calibration: Cal
 def test_contact_numbers_come_at_10_hz_without_contact_and_at_every_change(
     calibration: Calibration, pictures: Any
 ) -> None:
-    played = Played(calibration, [pictures.free] * 12 + [pictures.touched] * 2 + [pictures.free] * 7)
+    played = Played(
+        calibration, [pictures.free] * 12 + [pictures.touched] * 2 + [pictures.free] * 7
+    )
     assert played.seqs("contact") == [0, 5, 10, 12, 13, 14, 19]
     numbers = [json.loads(payload) for s, payload, _ in played.offers if s == "contact"]
     assert [n["contact"] for n in numbers] == [0, 0, 0, 1, 1, 0, 0]
@@ -105,10 +114,16 @@ def test_contact_numbers_come_at_10_hz_without_contact_and_at_every_change(
 def test_an_invalid_frame_ends_a_contact_with_a_flag_and_is_silent_after(
     calibration: Calibration, pictures: Any
 ) -> None:
-    played = Played(calibration, [pictures.touched, pictures.black, pictures.black, pictures.touched])
+    played = Played(
+        calibration, [pictures.touched, pictures.black, pictures.black, pictures.touched]
+    )
     assert played.seqs("height") == [0, 1, 3]
     assert played.outcomes == [None, None, "invalid", None]
-    assert [(h.contact, h.invalid) for h in played.decoded("height")] == [(True, False), (False, True), (True, False)]
+    assert [(h.contact, h.invalid) for h in played.decoded("height")] == [
+        (True, False),
+        (False, True),
+        (True, False),
+    ]
 
 
 def test_an_output_that_nobody_wants_is_left_out_but_for_begin_and_end_of_a_contact(
@@ -150,10 +165,16 @@ def test_a_touch_goes_out_while_it_has_a_subscriber_and_once_more_at_release(
     images = [pictures.free, pictures.touched, pictures.touched, pictures.black, pictures.free]
     played = Played(calibration, images, ("touch",))
     assert played.seqs("touch") == [1, 2, 3]
-    first, _, released = [json.loads(payload) for stream, payload, _ in played.offers if stream == "touch"]
+    first, _, released = [
+        json.loads(payload) for stream, payload, _ in played.offers if stream == "touch"
+    ]
     assert first["touch"]["depth_mm"] == pytest.approx(touched_depth_mm(), abs=0.001)
     assert first["touch"].keys() == first["touch_sigma"].keys()
-    assert (released["touch"], released["touch_sigma"], released["reason_code"]) == (None, None, "black")
+    assert (released["touch"], released["touch_sigma"], released["reason_code"]) == (
+        None,
+        None,
+        "black",
+    )
     assert Played(calibration, images, ("height", "shear")).seqs("touch") == []
 
 
@@ -169,12 +190,20 @@ def test_a_slip_is_reported_once_at_its_onset(calibration: Calibration, pictures
     result = make_reconstructor(calibration, PROFILES["fast"]).step(frame)
     one = replace(result.objects[0], id=7)
     for seq, (slip, other) in enumerate(
-        ((Slip.STICK, None), (Slip.FULL, None), (Slip.FULL, Slip.FULL), (Slip.PARTIAL, Slip.FULL), (Slip.FULL, None))
+        (
+            (Slip.STICK, None),
+            (Slip.FULL, None),
+            (Slip.FULL, Slip.FULL),
+            (Slip.PARTIAL, Slip.FULL),
+            (Slip.FULL, None),
+        )
     ):
         objects = [replace(one, slip=slip, slip_mm_s=20.0)]
         if other is not None:
             objects.append(replace(one, label=2, id=8, slip=other, slip_mm_s=9.0))
-        publisher.see(FrameResult(frame, calibration, replace(result, seq=seq, objects=tuple(objects))))
+        publisher.see(
+            FrameResult(frame, calibration, replace(result, seq=seq, objects=tuple(objects)))
+        )
     assert [(event["seq"], event["id"], event["slip_mm_s"]) for event in events] == [
         (1, 7, 20.0),
         (2, 8, 9.0),
@@ -190,7 +219,9 @@ def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: A
         make_reconstructor(calibration, PROFILES["fast"]).step(Frame(0, 0, 0, image))
         for image in (pictures.free, pictures.touched)
     )
-    slides = replace(touched, objects=(replace(touched.objects[0], slip=Slip.FULL, depth_max_mm=9.0),))
+    slides = replace(
+        touched, objects=(replace(touched.objects[0], slip=Slip.FULL, depth_max_mm=9.0),)
+    )
 
     def see(t_ms: int, result: Reconstruction | None) -> None:
         frame = Frame(0, t_ms * 1_000_000, 7, pictures.free)
@@ -208,8 +239,17 @@ def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: A
         ("end", 1, 1300, 50, 1200),
         ("new", 2, 1500, 1500, None),
     ]
-    assert (sent[0].depth_max_mm, sent[0].objects, sent[0].slip, sent[0].wall_ns) == (None, None, None, 7)
-    assert (sent[1].depth_max_mm, sent[1].slip, sent[1].objects) == (sent[2].depth_max_mm, 2, 1) == (9.0, 2, 1)
+    assert (sent[0].depth_max_mm, sent[0].objects, sent[0].slip, sent[0].wall_ns) == (
+        None,
+        None,
+        None,
+        7,
+    )
+    assert (
+        (sent[1].depth_max_mm, sent[1].slip, sent[1].objects)
+        == (sent[2].depth_max_mm, 2, 1)
+        == (9.0, 2, 1)
+    )
     assert sent[3].volume_mm3 == pytest.approx(touched.volume_mm3)
     assert (sent[3].depth_max_mm, sent[3].slip) == (touched.objects[0].depth_max_mm, None)
 
@@ -239,12 +279,16 @@ def test_rates_are_between_two_snapshots() -> None:
 def test_every_key_is_documented() -> None:
     section = DOCUMENT.read_text(encoding="utf-8").partition("## Health\n")[2].partition("\n## ")[0]
     documented = {
-        name for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE) for name in re.findall("`(.+?)`", row)
+        name
+        for row in re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+        for name in re.findall("`(.+?)`", row)
     }
     timings = Timings()
     timings.add({"wait": 1.0, "latency": 2.0})
     message = json.loads(encode_json(Health(FrameLedger(), timings).snapshot(0, {})))
-    reported = {each.health_key for each in (Robot, Sessions, References, LiveRecorder, ActiveProfile)}
+    reported = {
+        each.health_key for each in (Robot, Sessions, References, LiveRecorder, ActiveProfile)
+    }
     assert set(message) | reported == documented
     assert message["latency_ms"] == {"p50": 2.0, "p99": 2.0}
     assert message["stages_ms"] == {"wait": {"p50": 1.0, "p99": 1.0}}
@@ -267,7 +311,9 @@ class Link:
         self.offered.append(payload)
 
 
-def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_needed(pictures: Any) -> None:
+def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_needed(
+    pictures: Any,
+) -> None:
     link = Link()
     preview = Preview(link)  # type: ignore[arg-type]
     preview.publish()
@@ -279,7 +325,10 @@ def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_nee
         preview.publish()
     ((stream, jpeg, seq),) = link.offered
     assert (stream, seq) == ("preview", 4)
-    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape == (240, WIDTH_PX)
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape == (
+        240,
+        WIDTH_PX,
+    )
 
 
 needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
@@ -289,7 +338,9 @@ TOPICS = discovery_topics("hand")
 
 
 @contextmanager
-def announcing(port: int, *, user: str = "hand", wanted: bool) -> Iterator[tuple[MqttLink, HomeAssistant]]:
+def announcing(
+    port: int, *, user: str = "hand", wanted: bool
+) -> Iterator[tuple[MqttLink, HomeAssistant]]:
     """What of a daemon named `hand` announces it."""
     link = MqttLink(
         host="127.0.0.1",
@@ -321,7 +372,9 @@ def guarded(tmp_path: Path) -> Iterator[Broker]:
     rules = tmp_path / "acl"
     rules.touch(0o600)
     rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
-    with Broker(tmp_path, users={name: name for name in USERS}, more=(f"acl_file {rules}",)) as made:
+    with Broker(
+        tmp_path, users={name: name for name in USERS}, more=(f"acl_file {rules}",)
+    ) as made:
         yield made
 
 
@@ -353,7 +406,9 @@ def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) 
         assert link.counters()["refused"] == 0
     with announcing(guarded.port, wanted=False) as (link, _):
         wait_until(lambda: announced_state(assistant) == "withdrawn", 10, "the announcement")
-        wait_until(lambda: all(assistant.of(topic)[-1] == b"" for topic in TOPICS), 10, "taken back")
+        wait_until(
+            lambda: all(assistant.of(topic)[-1] == b"" for topic in TOPICS), 10, "taken back"
+        )
         assert link.counters()["refused"] == 0
     with eyes(guarded) as later:
         later.wait_for(f"tacshade/hand/{STATUS}")

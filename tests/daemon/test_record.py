@@ -32,7 +32,9 @@ from tools.testbed.patience import patience, wait_until
 
 
 @given(st.lists(st.tuples(st.integers(1, 15), st.booleans()), max_size=40))
-def test_every_item_is_taken_in_order_or_counted_and_the_limit_holds(steps: list[tuple[int, bool]]) -> None:
+def test_every_item_is_taken_in_order_or_counted_and_the_limit_holds(
+    steps: list[tuple[int, bool]],
+) -> None:
     queue: ByteQueue[tuple[int, int]] = ByteQueue(20)
     taken: list[tuple[int, int]] = []
     held = refused = 0
@@ -74,9 +76,13 @@ class Live:
         self.folder = folder / "recs" / "one"
         self._calibration = calibration
 
-    def begin(self, seconds: float = 60.0, name: str = "one", make: Callable[..., Any] = record.Recorder) -> None:
+    def begin(
+        self, seconds: float = 60.0, name: str = "one", make: Callable[..., Any] = record.Recorder
+    ) -> None:
         folder = self.folder.with_name(name)
-        self.recorder.begin(folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"}, make)
+        self.recorder.begin(
+            folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"}, make
+        )
 
     def give(self, *frames: Frame) -> None:
         for frame in frames:
@@ -98,7 +104,9 @@ class Live:
         return read
 
     def events(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in (self.folder / "events.jsonl").read_text().splitlines()]
+        return [
+            json.loads(line) for line in (self.folder / "events.jsonl").read_text().splitlines()
+        ]
 
     def until(self, **counts: int) -> None:
         wait_until(lambda: counts.items() <= self.recorder.health().items(), 20, f"{counts}")
@@ -125,7 +133,12 @@ def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
     live.recorder.end(STOPPED)
     live.give(*frames(1, 6))
     status = live.ended()
-    assert (status["state"], status["frames"], status["dropped"], status["ending"]) == ("idle", 5, 0, "stopped")
+    assert (status["state"], status["frames"], status["dropped"], status["ending"]) == (
+        "idle",
+        5,
+        0,
+        "stopped",
+    )
     rows = read_table(live.folder / "frames.csv")
     assert [row.t_ns for row in rows] == [1001, 1002, 1003, 1004, 1005]
     assert status["bytes"] == sum((live.folder / row.image).stat().st_size for row in rows)
@@ -134,9 +147,16 @@ def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
         read = recording.read()
         assert read is not None
         np.testing.assert_array_equal(read.frame.image, frame.image)
-    assert [(event["kind"], event["data"]) for event in live.events()] == [("source", {"state": "away"})]
+    assert [(event["kind"], event["data"]) for event in live.events()] == [
+        ("source", {"state": "away"})
+    ]
     about = live.about()
-    assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == ("stopped", 1001, 6, "1")
+    assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == (
+        "stopped",
+        1001,
+        6,
+        "1",
+    )
     assert live.recorder.health() == {"written": 5, "dropped": 0, "waiting": 0}
     assert live.written == [""]
 
@@ -148,7 +168,9 @@ def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
     assert (status["frames"], status["ending"]) == (2, str(TIME))
 
 
-def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
     go_on, writing = threading.Event(), threading.Event()
     real = record.Recorder.add
 
@@ -172,7 +194,9 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(live: Live, monkey
     assert live.events()[0]["kind"] == "still there"
 
 
-def test_another_reference_ends_it_another_profile_does_not(live: Live, calibration: Calibration) -> None:
+def test_another_reference_ends_it_another_profile_does_not(
+    live: Live, calibration: Calibration
+) -> None:
     live.begin()
     live.give(*frames(2))
     live.recorder.reconstructs_with("paper", calibration.crc32)
@@ -180,8 +204,15 @@ def test_another_reference_ends_it_another_profile_does_not(live: Live, calibrat
     live.recorder.reconstructs_with("paper", 77)
     live.give(*frames(2, 4))
     status = live.ended()
-    assert (status["state"], status["frames"], status["ending_code"]) == ("stopped", 4, "calibration_changed")
-    assert [event["data"]["calibration_crc32"] for event in live.events()] == [calibration.crc32, 77]
+    assert (status["state"], status["frames"], status["ending_code"]) == (
+        "stopped",
+        4,
+        "calibration_changed",
+    )
+    assert [event["data"]["calibration_crc32"] for event in live.events()] == [
+        calibration.crc32,
+        77,
+    ]
 
 
 def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
@@ -190,17 +221,23 @@ def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
         live.begin(name="two")
     live.recorder.end(STOPPED)
     live.ended()
-    with pytest.raises(ConfigError, match=r"one: already exists, expected the name of a new folder"):
+    with pytest.raises(
+        ConfigError, match=r"one: already exists, expected the name of a new folder"
+    ):
         live.begin()
     live.begin(name="two")
     live.recorder.end(STOPPED)
     assert live.ended()["folder"].endswith("two")
 
 
-def test_a_disk_that_comes_to_its_floor_ends_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_comes_to_its_floor_ends_it(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
     full = threading.Event()
     real = record.Recorder.add
-    monkeypatch.setattr(record.Recorder, "add", lambda self, *shot: not full.is_set() and real(self, *shot))
+    monkeypatch.setattr(
+        record.Recorder, "add", lambda self, *shot: not full.is_set() and real(self, *shot)
+    )
     live.begin()
     live.give(*frames(2))
     live.until(written=2)
@@ -227,7 +264,9 @@ def _folder_is_a_file(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("happen", [_folder_gone, _folder_is_a_file])
-def test_a_folder_that_goes_away_ends_it_with_its_error(live: Live, happen: Callable[[Path], None]) -> None:
+def test_a_folder_that_goes_away_ends_it_with_its_error(
+    live: Live, happen: Callable[[Path], None]
+) -> None:
     live.begin()
     live.give(*frames(1))
     live.until(written=1)
@@ -285,7 +324,9 @@ def test_a_recording_begins_with_what_was_before(live: Live, calibration: Calibr
     assert live.recorder.tap is None
 
 
-def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
     size = len(png_of(FREE)) + len(png_of(TOUCHED))
     monkeypatch.setattr(record, "PRE_ROLL_BYTES", 2 * size)
     keep(live, 30.0)

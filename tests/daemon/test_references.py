@@ -44,7 +44,9 @@ class Resting:
         self._reconstructor = make_reconstructor(calibration, PROFILES["fast"])
         self.s = 0.0
 
-    def show(self, image: U8, seconds: float, doubt: Reason | None = None, glance: bool = False) -> None:
+    def show(
+        self, image: U8, seconds: float, doubt: Reason | None = None, glance: bool = False
+    ) -> None:
         """Show the same result again and again; with `glance`, of a contact only that it is one."""
         need = Need.CONTACT if glance else Need.SHEAR
         result = self._reconstructor.step(Frame(0, 0, 0, image), need=need)
@@ -109,7 +111,9 @@ def test_ten_frames_of_a_sensor_at_rest_once_a_minute(resting: Resting, pictures
 
 @pytest.mark.parametrize("how", ["touched", "black"])
 @pytest.mark.parametrize("glance", [False, True])
-def test_a_touch_or_an_invalid_frame_ends_the_rest(resting: Resting, pictures: Any, how: str, glance: bool) -> None:
+def test_a_touch_or_an_invalid_frame_ends_the_rest(
+    resting: Resting, pictures: Any, how: str, glance: bool
+) -> None:
     resting.show(pictures.free, REST_S + BATCH_S / 2)
     assert resting.references.frames.at_rest
     resting.show(getattr(pictures, how), 0.1, glance=glance)
@@ -155,8 +159,12 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert not path.exists()
 
 
-def test_a_folder_that_cannot_be_written_is_reported(calibration: Calibration, pictures: Any, tmp_path: Path) -> None:
-    taken = requested(calibration, [pictures.free] * REFERENCE_FRAMES, tmp_path / "gone" / "c.reference.npz")
+def test_a_folder_that_cannot_be_written_is_reported(
+    calibration: Calibration, pictures: Any, tmp_path: Path
+) -> None:
+    taken = requested(
+        calibration, [pictures.free] * REFERENCE_FRAMES, tmp_path / "gone" / "c.reference.npz"
+    )
     assert taken.calibration.crc32 != 0
     assert taken.reason is not None
     assert taken.reason.code is ReasonCode.DISK
@@ -168,10 +176,18 @@ def test_it_follows_from_where_it_began_and_reports_how_far(
 ) -> None:
     caplog.set_level(logging.INFO)
     assert not resting.poll()
-    assert (resting.health["state"], resting.health["light"], resting.health["looks"]) == ("waiting", None, 0)
+    assert (resting.health["state"], resting.health["light"], resting.health["looks"]) == (
+        "waiting",
+        None,
+        0,
+    )
     assert resting.look(pictures.free)
     assert not resting.look(pictures.free)
-    assert (resting.health["state"], resting.health["looks"], resting.health["renewals"]) == ("following", 2, 0)
+    assert (resting.health["state"], resting.health["looks"], resting.health["renewals"]) == (
+        "following",
+        2,
+        0,
+    )
     assert resting.references.calibration is calibration
     for gain in (0.95, 0.9, 0.85):
         assert resting.look(camera_faults.gain(pictures.free, gain))
@@ -213,7 +229,9 @@ def test_it_stays_while_it_is_held_and_amid_a_contact(resting: Resting, pictures
     assert resting.look(darker)
 
 
-def test_a_doubt_or_a_spot_stops_it_with_its_reason(resting: Resting, calibration: Calibration, pictures: Any) -> None:
+def test_a_doubt_or_a_spot_stops_it_with_its_reason(
+    resting: Resting, calibration: Calibration, pictures: Any
+) -> None:
     doubt = Reason(ReasonCode.GLARE, "glare hides 3 % of the disc")
     assert resting.look(pictures.free, doubt=doubt)
     assert (resting.health["state"], resting.health["reason"]) == ("stopped", doubt.text)
@@ -243,7 +261,11 @@ def test_a_request_is_a_new_beginning_that_outlives_a_restart(
 
 
 def test_the_stored_reference_has_one_owner(
-    resting: Resting, calibration: Calibration, pictures: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    resting: Resting,
+    calibration: Calibration,
+    pictures: Any,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     taken = resting.take(pictures.free)
     stored = (tmp_path / "c.reference.npz").read_bytes()

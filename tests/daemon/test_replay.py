@@ -33,7 +33,9 @@ IMAGES = [FREE, TOUCHED, BLACK, TOUCHED]
 PERIOD_NS = 20_000_000
 
 
-def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, bool, float]], list[str]]:
+def play(
+    folder: Path, speed: float | None
+) -> tuple[Progress, list[tuple[int, bool, float]], list[str]]:
     """What was counted; sequence number, contact and our time of each delivery; and what was reported."""
     delivered: list[tuple[int, bool, float]] = []
     reported: list[str] = []
@@ -44,7 +46,14 @@ def play(folder: Path, speed: float | None) -> tuple[Progress, list[tuple[int, b
 
     progress = Progress()
     reconstructor = make_reconstructor(painted_calibration(), PROFILES["fast"])
-    replay(Recording(folder), reconstructor, [deliver], progress, speed=speed, undecodable=reported.append)
+    replay(
+        Recording(folder),
+        reconstructor,
+        [deliver],
+        progress,
+        speed=speed,
+        undecodable=reported.append,
+    )
     return progress, delivered, reported
 
 
@@ -55,8 +64,18 @@ def folder(tmp_path: Path) -> Path:
 
 def test_every_frame_is_delivered_in_order_and_counted(folder: Path) -> None:
     progress, delivered, reported = play(folder, None)
-    assert [(seq, contact) for seq, contact, _ in delivered] == [(0, False), (1, True), (2, False), (3, True)]
-    assert (progress.frames, progress.contacts, progress.invalid, progress.undecodable) == (4, 2, 1, 0)
+    assert [(seq, contact) for seq, contact, _ in delivered] == [
+        (0, False),
+        (1, True),
+        (2, False),
+        (3, True),
+    ]
+    assert (progress.frames, progress.contacts, progress.invalid, progress.undecodable) == (
+        4,
+        2,
+        1,
+        0,
+    )
     assert progress.recorded_seconds == pytest.approx(0.08)
     assert progress.speed_up == pytest.approx(0.08 / progress.seconds)
     assert progress.as_dict()["frames"] == 4
@@ -92,7 +111,14 @@ def test_back_shows_the_frame_before_from_anywhere(tmp_path: Path) -> None:
 
     thread = threading.Thread(target=play)
     thread.start()
-    assert [shown.get(timeout=patience(20)) for _ in range(6)] == [0, 1, 2, 3, 4, 5]  # and waits at its end
+    assert [shown.get(timeout=patience(20)) for _ in range(6)] == [
+        0,
+        1,
+        2,
+        3,
+        4,
+        5,
+    ]  # and waits at its end
     asked: list[tuple[PlaybackCommand, int]] = [
         (PlaybackCommand(back=True), 4),
         (PlaybackCommand(back=True), 3),
@@ -139,7 +165,12 @@ def test_as_fast_as_possible_loses_nothing(
     # Every frame with contact and the one that ends it, the same bytes as in the files.
     assert heights == list(payloads(out, HEIGHTS))[5:96]
     decoded = [wire.decode(payload) for payload in heights]
-    assert [m.pose.x_mm if m.pose else None for m in decoded[:4]] == [5.0, None, 7.0, None]  # every other row has one
+    assert [m.pose.x_mm if m.pose else None for m in decoded[:4]] == [
+        5.0,
+        None,
+        7.0,
+        None,
+    ]  # every other row has one
     assert clouds == list(payloads(out, CLOUDS))[5:95]
     assert "0 payloads superseded, 0 payloads failed" in capsys.readouterr().out
 
@@ -148,7 +179,16 @@ def test_as_fast_as_possible_loses_nothing(
 @needs_broker
 def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[str]) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port) as seen:
-        more = ["--mqtt", f"127.0.0.1:{broker.port}", "--loop", "0", "--speed", "5", "--sensor-id", "left"]
+        more = [
+            "--mqtt",
+            f"127.0.0.1:{broker.port}",
+            "--loop",
+            "0",
+            "--speed",
+            "5",
+            "--sensor-id",
+            "left",
+        ]
         command = [sys.executable, "-m", "tacshade_edge", *given, *more]
         child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
@@ -163,10 +203,15 @@ def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[st
 
 
 @pytest.mark.slow
-def test_a_broker_that_is_away_is_one_line(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broker_that_is_away_is_one_line(
+    given: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     port = free_port()
     assert main([*given, "--mqtt", f"127.0.0.1:{port}"]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     where = f"127.0.0.1:{port}"
-    assert f"{where}: Connection refused; expected a connection to the broker at {where} within 2 s" in err
+    assert (
+        f"{where}: Connection refused; expected a connection to the broker at {where} within 2 s"
+        in err
+    )

@@ -15,7 +15,15 @@ from tacshade_edge.daemon.observer import WAITING_MAX, FrameResult
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Frame, HeightMap, Need, ObjectCloud, Pose, Reconstruction
+from tacshade_edge.types import (
+    Calibration,
+    Frame,
+    HeightMap,
+    Need,
+    ObjectCloud,
+    Pose,
+    Reconstruction,
+)
 from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot, motion
 
@@ -32,10 +40,14 @@ def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Fram
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["ASCII", "BIN"])
-def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calibration: Calibration) -> None:
+def test_frames_get_the_pose_that_the_sensor_had(
+    link: Path, binary: bool, calibration: Calibration
+) -> None:
     frames = []
     with PtyRobot(link, rate_hz=200, binary=binary) as robot, Side(link) as side:
-        side.until("synchronised", state="connected", sync="two-way", mode="BIN" if binary else "ASCII")
+        side.until(
+            "synchronised", state="connected", sync="two-way", mode="BIN" if binary else "ASCII"
+        )
         wait_until(lambda: side.robot.motion.at(time.monotonic_ns() - 10_000_000), 10, "a pose")
         for _ in range(20):
             t_ns = time.monotonic_ns() - 10_000_000
@@ -44,9 +56,19 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
             if got.pose is None:  # this machine stopped for a moment
                 continue
             truth = motion(got.t_ns / 1e9 - robot.began_s)
-            found = (got.pose.x_mm, got.pose.y_mm, got.pose.z_mm, got.pose.qw, got.pose.qx, got.pose.qy, got.pose.qz)
+            found = (
+                got.pose.x_mm,
+                got.pose.y_mm,
+                got.pose.z_mm,
+                got.pose.qw,
+                got.pose.qx,
+                got.pose.qy,
+                got.pose.qz,
+            )
             slack_s = got.pose_error_us / 1e6 + 1e-4
-            assert found[:3] == pytest.approx(truth[:3], abs=63 * slack_s + 0.02)  # 40 mm once in 4 s
+            assert found[:3] == pytest.approx(
+                truth[:3], abs=63 * slack_s + 0.02
+            )  # 40 mm once in 4 s
             assert found[3:] == pytest.approx(truth[3:], abs=0.3 * slack_s + 1e-4)
             assert (got.pose.t_ns, got.pose_error_us > 0) == (got.t_ns, True)
         assert any(got.pose for got in frames)
@@ -56,7 +78,9 @@ def test_frames_get_the_pose_that_the_sensor_had(link: Path, binary: bool, calib
     assert counts["clock_restarts"] == 1  # its greeting
 
 
-def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_reported(link: Path) -> None:
+def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_reported(
+    link: Path,
+) -> None:
     with PtyRobot(link, rate_hz=200, binary=True) as robot, Side(link) as side:
         side.until("synchronised", sync="two-way")
         robot.ask("STATUS")
@@ -70,7 +94,11 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_repor
         wait_until(lambda: robot.counts.poses > pose_count + 20, 5, "poses into nothing")
         robot.plug()
         side.until("back", state="connected", sync="two-way", mode="BIN")
-        wait_until(lambda: any(e.startswith("READY tacshade 1 away_ms=") for e in robot.events), 10, "EVT READY")
+        wait_until(
+            lambda: any(e.startswith("READY tacshade 1 away_ms=") for e in robot.events),
+            10,
+            "EVT READY",
+        )
         wait_until(lambda: any(e.startswith("GAP poses=") for e in robot.events), 10, "EVT GAP")
         # The same number and text: not done again, the reply is the one from before the cable was pulled.
         robot.replies.clear()
@@ -98,13 +126,22 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         see(*old)
         assert side.robot.commands.capture_pending  # that one was from before
         see(*frame(time.monotonic_ns(), calibration))
-        wait_until(lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer")
+        wait_until(
+            lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer"
+        )
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
         see(*frame(time.monotonic_ns(), calibration, valid=False))
-        wait_until(lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()), 10, "its answer")
+        wait_until(
+            lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()),
+            10,
+            "its answer",
+        )
 
-        for outcome in (ReferenceTaken(10, 7, 0.5), Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact")):
+        for outcome in (
+            ReferenceTaken(10, 7, 0.5),
+            Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact"),
+        ):
             robot.ask("REFERENCE")
             wait_until(lambda: side.requests, 10, "the request")
             request, reply = side.requests.pop()
@@ -112,34 +149,58 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
             reply(outcome)
         wait_until(
             lambda: any(
-                r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5 stored=1") for r in robot.replies.values()
+                r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5 stored=1")
+                for r in robot.replies.values()
             ),
             10,
             "OK",
         )
-        wait_until(lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()), 10, "ERR")
+        wait_until(
+            lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()),
+            10,
+            "ERR",
+        )
 
         assert side.robot.need() == Need.CONTACT
         robot.ask("STITCH BEGIN pad")
-        wait_until(lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching")
+        wait_until(
+            lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching"
+        )
 
         def submit(action: str, name: str, reply: Any) -> None:
-            reply(SessionBegun(name) if action == "BEGIN" else Reason(ReasonCode.NO_SESSION, "none is open"))
+            reply(
+                SessionBegun(name)
+                if action == "BEGIN"
+                else Reason(ReasonCode.NO_SESSION, "none is open")
+            )
 
         side.robot.commands.stitch = submit
         robot.ask("STITCH BEGIN pad")
         robot.ask("stitch end")
-        wait_until(lambda: any(r.endswith("name=pad") and "OK" in r for r in robot.replies.values()), 10, "BEGIN")
         wait_until(
-            lambda: any(r.endswith("NOSESSION none is open") and "ERR" in r for r in robot.replies.values()), 10, "END"
+            lambda: any(r.endswith("name=pad") and "OK" in r for r in robot.replies.values()),
+            10,
+            "BEGIN",
+        )
+        wait_until(
+            lambda: any(
+                r.endswith("NOSESSION none is open") and "ERR" in r for r in robot.replies.values()
+            ),
+            10,
+            "END",
         )
 
 
-def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_is_away_and_one_that_is_taken(
+    link: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tacshade_edge.daemon.robot.SILENT_NS", 10_000_000)
     side = Side(link)
     with side:
-        assert side.until("away", state="away")["reason"] in ("starting", f"serial {link}: no such device")
+        assert side.until("away", state="away")["reason"] in (
+            "starting",
+            f"serial {link}: no such device",
+        )
         side.until("away", reason=f"serial {link}: no such device")
         robot = PtyRobot(link, rate_hz=0)
         robot.plug()
@@ -151,23 +212,40 @@ def test_a_port_that_is_away_and_one_that_is_taken(link: Path, monkeypatch: pyte
         side.until("away again", state="away")
 
 
-def test_a_capture_without_a_frame_ends_and_too_many_are_refused(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_without_a_frame_ends_and_too_many_are_refused(
+    link: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
         side.until("connected", state="connected")
         for _ in range(WAITING_MAX + 1):
             robot.ask("CAPTURE")
-        wait_until(lambda: any("BUSY 16 captures are already waiting" in r for r in robot.replies.values()), 10, "BUSY")
+        wait_until(
+            lambda: any(
+                "BUSY 16 captures are already waiting" in r for r in robot.replies.values()
+            ),
+            10,
+            "BUSY",
+        )
         monkeypatch.setattr("tacshade_edge.daemon.observer.FRAME_TIMEOUT_NS", 0)
-        wait_until(lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16, 10, "TIMEOUT")
+        wait_until(
+            lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16,
+            10,
+            "TIMEOUT",
+        )
         assert not side.robot.commands.capture_pending
 
 
-def test_a_chip_that_holds_bytes_back_is_reported(link: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chip_that_holds_bytes_back_is_reported(
+    link: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     describe = SerialPort.describe
     monkeypatch.setattr(SerialPort, "describe", lambda port: {**describe(port), "latency_ms": 16})
     with PtyRobot(link), Side(link) as side:
         status = side.until("two-way", state="connected", sync="two-way")
-    assert status["reason"] == "the port's chip holds bytes back for 16 ms; tacshade-edge doctor explains the fix"
+    assert (
+        status["reason"]
+        == "the port's chip holds bytes back for 16 ms; tacshade-edge doctor explains the fix"
+    )
 
 
 def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:

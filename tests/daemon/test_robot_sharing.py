@@ -19,7 +19,10 @@ from tools.testbed.robot import PtyRobot
 def documents(**devices: str) -> list[Document]:
     """Of sensors by the ports that they name; an empty one is none."""
     serials = {name: Serial(device=device) if device else None for name, device in devices.items()}
-    return [Document(Path("s.yaml"), Settings(sensor_id=n, serial=serial), {}, True) for n, serial in serials.items()]
+    return [
+        Document(Path("s.yaml"), Settings(sensor_id=n, serial=serial), {}, True)
+        for n, serial in serials.items()
+    ]
 
 
 @pytest.fixture
@@ -41,8 +44,12 @@ def both(sides: tuple[Side, Side], **wanted: Any) -> bool:
 
 
 def test_the_first_that_names_a_port_has_it_and_who_is_alone_shares_nothing() -> None:
-    shared = share_lines(documents(thumb="/dev/a", index="/dev/b", middle="/dev/a", ring="", little="/dev/a"))
-    assert {name: part.owner for name, part in shared.items()} == dict.fromkeys(("thumb", "middle", "little"), "thumb")
+    shared = share_lines(
+        documents(thumb="/dev/a", index="/dev/b", middle="/dev/a", ring="", little="/dev/a")
+    )
+    assert {name: part.owner for name, part in shared.items()} == dict.fromkeys(
+        ("thumb", "middle", "little"), "thumb"
+    )
     assert [len(shared["thumb"].ends), shared["thumb"].hears] == [2, None]
     close(shared)
 
@@ -51,11 +58,17 @@ def test_a_follower_has_the_poses_and_the_clock_of_the_one_that_has_the_port(
     link: Path, sides: tuple[Side, Side]
 ) -> None:
     with PtyRobot(link, rate_hz=200, binary=True):
-        wait_until(lambda: both(sides, state="connected", sync="two-way", mode="BIN"), 30, "both are synchronised")
+        wait_until(
+            lambda: both(sides, state="connected", sync="two-way", mode="BIN"),
+            30,
+            "both are synchronised",
+        )
         owner, follower = (side.robot.motion for side in sides)
         t_ns = time.monotonic_ns()
         # In a moment both have the poses before and after that time.
-        wait_until(lambda: all(m.at(t_ns + 50_000_000) for m in (owner, follower)), 10, "poses after it")
+        wait_until(
+            lambda: all(m.at(t_ns + 50_000_000) for m in (owner, follower)), 10, "poses after it"
+        )
         found, followed = owner.at(t_ns), follower.at(t_ns)
         assert found is not None
         assert followed is not None
@@ -64,15 +77,25 @@ def test_a_follower_has_the_poses_and_the_clock_of_the_one_that_has_the_port(
         details = sides[1].latest()
         assert (details["shared_by"], details["device"]) == ("thumb", str(link))
         assert "shared_by" not in sides[0].latest()
-        wait_until(lambda: sides[0].latest() and sides[1].robot.health().get("poses", 0) > 100, 10, "its counts")
+        wait_until(
+            lambda: sides[0].latest() and sides[1].robot.health().get("poses", 0) > 100,
+            10,
+            "its counts",
+        )
         assert sides[1].robot.health()["exchanges"] >= 1
 
 
 @pytest.mark.slow
-def test_an_owner_that_is_gone_is_reported_by_those_that_follow(link: Path, sides: tuple[Side, Side]) -> None:
+def test_an_owner_that_is_gone_is_reported_by_those_that_follow(
+    link: Path, sides: tuple[Side, Side]
+) -> None:
     with PtyRobot(link, rate_hz=50):
         wait_until(lambda: both(sides, state="connected"), 30, "both are connected")
         sides[0].robot.stop(stretched(5))  # and polls no more
         follower = sides[1]
-        wait_until(lambda: follower.latest()["reason_code"] == "no_answer", 20, "nothing is heard of the owner")
+        wait_until(
+            lambda: follower.latest()["reason_code"] == "no_answer",
+            20,
+            "nothing is heard of the owner",
+        )
         assert follower.latest()["reason"] == "thumb, which owns the port, is sending nothing"

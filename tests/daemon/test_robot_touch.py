@@ -35,7 +35,9 @@ FREE = Reconstruction(
 
 def touched(seq: int, depth_mm: float | None, t_ns: int | None = None) -> Reconstruction:
     touch = Touch({"depth_mm": depth_mm}, {"depth_mm": None})
-    return replace(FREE, seq=seq, t_ns=seq * NS if t_ns is None else t_ns, contact=True, touch=touch)
+    return replace(
+        FREE, seq=seq, t_ns=seq * NS if t_ns is None else t_ns, contact=True, touch=touch
+    )
 
 
 class Bench:
@@ -44,7 +46,11 @@ class Bench:
     def __init__(self, baud: int = 115200) -> None:
         self.master, self._slave = os.openpty()
         self.robot = Robot(
-            SerialPort(os.ttyname(self._slave), baud), lambda *_: None, dict, lambda _: None, lambda: self.missing
+            SerialPort(os.ttyname(self._slave), baud),
+            lambda *_: None,
+            dict,
+            lambda _: None,
+            lambda: self.missing,
         )
         self.missing: Reason | None = None
         self._heard = b""
@@ -81,7 +87,9 @@ class Bench:
         return self.line()
 
     def show(self, result: Reconstruction) -> None:
-        self.robot.see(FrameResult(Frame(result.seq, result.t_ns, 0, np.zeros((2, 2), np.uint8)), None, result))
+        self.robot.see(
+            FrameResult(Frame(result.seq, result.t_ns, 0, np.zeros((2, 2), np.uint8)), None, result)
+        )
 
 
 @pytest.fixture
@@ -116,9 +124,12 @@ def test_each_frame_in_contact_and_one_at_the_end_until_off(bench: Bench, binary
 
 
 def test_what_is_refused(bench: Bench) -> None:
-    assert bench.ask("TOUCH") == f"ERR 1 ARGS expected {bench.ask('HELP TOUCH').removeprefix('OK 2 ')}"
     assert (
-        bench.ask("TOUCH ON depth_mm 0") == "ERR 3 ARGS found the RATE 0, expected a whole number of Hz from 1 to 1000"
+        bench.ask("TOUCH") == f"ERR 1 ARGS expected {bench.ask('HELP TOUCH').removeprefix('OK 2 ')}"
+    )
+    assert (
+        bench.ask("TOUCH ON depth_mm 0")
+        == "ERR 3 ARGS found the RATE 0, expected a whole number of Hz from 1 to 1000"
     )
     assert bench.ask("TOUCH ON depth_mm 500") == (
         "ERR 4 REFUSED found 34500 bytes/s (500 events/s of up to 69 bytes), expected at most 10368 bytes/s (90 % of "
@@ -136,7 +147,11 @@ def test_a_touch_that_waits_is_replaced_by_a_newer_one() -> None:
         events.observe(touched(seq, 1.0))
     seen = events.take()
     assert seen is not None
-    assert (seen.seq, events.take(), events.as_dict()) == (3, None, {"touch_events": 1, "touch_dropped": 2})
+    assert (seen.seq, events.take(), events.as_dict()) == (
+        3,
+        None,
+        {"touch_events": 1, "touch_dropped": 2},
+    )
 
 
 def rates(asked_hz: int, frame_hz: float, jitter_s: float = 0.0) -> list[int]:

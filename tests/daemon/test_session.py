@@ -34,12 +34,19 @@ def revision(number: int, folder: str = "", of: Raster | None = None) -> MapRevi
     return MapRevision("pad", number, 3, 2, 0xABCD, folder, lambda: of or raster())
 
 
-def test_a_growing_map_is_reported_once_a_second_and_the_last_one_always(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_growing_map_is_reported_once_a_second_and_the_last_one_always(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     reported: list[tuple[str, bytes]] = []
     publisher = MapPublisher(lambda topic, payload: reported.append((topic, payload)))
     assert [publisher.publish(revision(k + 1)) for k in range(5)] == [False, True, True, True, True]
     assert not publisher.publish(revision(6, "/sessions/pad"))
-    assert [topic for topic, _ in reported] == ["map/cloud", "map/revision", "map/cloud", "map/final"]
+    assert [topic for topic, _ in reported] == [
+        "map/cloud",
+        "map/revision",
+        "map/cloud",
+        "map/final",
+    ]
     monkeypatch.setattr(map_publisher, "PERIOD_S", -1.0)
     publisher.publish(revision(7, "/sessions/pad"))
     publisher.publish(revision(8))
@@ -89,7 +96,9 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
     pose = (1.0, 0, 0, 0, 1, 0, 0, 0, 1, 100, 200, 0)
     points = [(x, 0.0, 20.0, 0, 0, 1, 0.5) for x in (0.0, 0.25, 0.5)]
     body = struct.pack("<12d", *pose) + b"".join(struct.pack("<7f", *point) for point in points)
-    (folder / "presses.bin").write_bytes(struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body)
+    (folder / "presses.bin").write_bytes(
+        struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body
+    )
     session = Session.resume(tmp_path, "left")
     assert session is not None
     assert (session.name, session.presses, session.points) == ("old", 1, 3)
@@ -101,7 +110,9 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
     assert len(written) == 2 * 12 + len(body) + 12 * 8 + 600 * 28
 
 
-def test_a_full_map_refuses_and_an_aborted_session_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_map_refuses_and_an_aborted_session_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     session = begun(tmp_path)
     monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.POINTS_MAX", 2000)
     with pytest.raises(DeviceError) as caught:

@@ -88,12 +88,21 @@ class Robot:
         self.sessions.submit(action, name, answers.put)
         return answers
 
-    def show(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True, t_ns: int | None = None) -> None:
+    def show(
+        self,
+        result: Reconstruction,
+        x_mm: float = 0.0,
+        *,
+        pose: bool = True,
+        t_ns: int | None = None,
+    ) -> None:
         self.seq += 1
         at_ns = time.monotonic_ns() if t_ns is None else t_ns
         where = Pose(at_ns, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
         frame = Frame(self.seq, at_ns, 0, np.zeros((4, 4), np.uint8), where)
-        self.sessions.see(FrameResult(frame, calibrated(), replace(result, seq=self.seq, t_ns=at_ns)))
+        self.sessions.see(
+            FrameResult(frame, calibrated(), replace(result, seq=self.seq, t_ns=at_ns))
+        )
 
     def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> Outcome:
         answers = self.begin("ADD")
@@ -159,7 +168,13 @@ def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_pat
     known = status(robot)
     assert (known.name, known.presses, known.points) == ("pad-1", 3, 3 * added.points)
     shown = {"state": "open", "reason": "", "reason_code": "", "missed": 0, "folder": ""}
-    assert robot.status() == {**shown, "name": "pad-1", "presses": 3, "points": known.points, "revision": 3}
+    assert robot.status() == {
+        **shown,
+        "name": "pad-1",
+        "presses": 3,
+        "points": known.points,
+        "revision": 3,
+    }
     ended = robot.ask("END")
     assert isinstance(ended, SessionEnded)
     assert (ended.name, ended.presses, ended.used) == ("pad-1", 3, 3)
@@ -192,7 +207,9 @@ def test_a_folder_of_another_owner(tmp_path: Path, ball: Reconstruction) -> None
     second.end()
 
 
-def test_a_session_whose_folder_was_deleted_keeps_nobody_out(tmp_path: Path, ball: Reconstruction) -> None:
+def test_a_session_whose_folder_was_deleted_keeps_nobody_out(
+    tmp_path: Path, ball: Reconstruction
+) -> None:
     robot = Robot(tmp_path)
     robot.show(ball)
     for name in ("one", "two"):
@@ -251,7 +268,9 @@ def test_a_frame_from_before_the_command_is_not_taken(robot: Robot, ball: Recons
     assert added.frame == robot.seq
 
 
-def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_frame_in_time(
+    robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot.show(ball)
     robot.ask("BEGIN")
     answers = robot.begin("ADD")
@@ -262,7 +281,9 @@ def test_no_frame_in_time(robot: Robot, ball: Reconstruction, monkeypatch: pytes
     assert code(wait(answers)) == ReasonCode.TIMEOUT
 
 
-def test_an_aborted_session_leaves_nothing(robot: Robot, ball: Reconstruction, tmp_path: Path) -> None:
+def test_an_aborted_session_leaves_nothing(
+    robot: Robot, ball: Reconstruction, tmp_path: Path
+) -> None:
     robot.show(ball)
     robot.ask("BEGIN", "x")
     robot.add(ball)
@@ -323,8 +344,12 @@ def test_a_deferred_map_is_published_though_nothing_more_comes(
     assert published == [1, 1, 1]
 
 
-def test_an_open_session_of_a_robot_whose_pose_is_unknown(tmp_path: Path, ball: Reconstruction) -> None:
-    line = SerialRobot(SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None)
+def test_an_open_session_of_a_robot_whose_pose_is_unknown(
+    tmp_path: Path, ball: Reconstruction
+) -> None:
+    line = SerialRobot(
+        SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None
+    )
     robot = Robot(tmp_path, poses=line)
     robot.show(ball)
     robot.ask("BEGIN")
@@ -353,7 +378,9 @@ def test_what_was_not_added_is_counted_and_published(
     robot.end()
 
 
-def test_a_stop_does_not_wait_for_a_map(tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_does_not_wait_for_a_map(
+    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot = Robot(tmp_path)
     robot.show(ball)
     robot.ask("BEGIN", "pad")

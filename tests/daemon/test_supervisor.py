@@ -73,7 +73,9 @@ class Command:
         return self._log.read_text()
 
     def children(self) -> set[int]:
-        found = subprocess.run(("pgrep", "-P", str(self.process.pid)), capture_output=True, check=False)
+        found = subprocess.run(
+            ("pgrep", "-P", str(self.process.pid)), capture_output=True, check=False
+        )
         return {int(word) for word in found.stdout.split()}
 
     def stop(self) -> None:
@@ -96,7 +98,11 @@ def folder(tmp_path: Path) -> Path:
 
 def run(folder: Path, port: int, *names: str, more: str = "", **places: str) -> Command:
     """With `places`, x, y, z and the unnormalised w and z of a turn about z, the sensors are the fingers of a hand."""
-    lines = [f"mqtt: {{host: 127.0.0.1, port: {port}}}", "recorder: {folder: recs}", "stitching: {folder: maps}"]
+    lines = [
+        f"mqtt: {{host: 127.0.0.1, port: {port}}}",
+        "recorder: {folder: recs}",
+        "stitching: {folder: maps}",
+    ]
     lines += ["hand_id: left"] * bool(places) + [*([more] if more else []), "sensors:"]
     for name in names:
         place = f", hand_T_sensor: {at(places[name])}" if places else ""
@@ -125,10 +131,14 @@ def assert_accounted(frames: dict[str, int]) -> None:
     assert frames["captured"] == sum(n for key, n in frames.items() if key != "captured")
 
 
-def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Broker, seen: Subscriber) -> None:
+def test_one_that_dies_or_cannot_start_touches_no_other(
+    folder: Path, broker: Broker, seen: Subscriber
+) -> None:
     with run(folder, broker.port, "thumb", "index", "ring") as running:
         wait_until(lambda: "READY=1" in running.notices(), 20, "up with one that cannot start")
-        wait_until(lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish")
+        wait_until(
+            lambda: all(health(seen, name) for name in ("thumb", "index")), 20, "both publish"
+        )
         first = running.children()
         assert len(first) == 2
         states = {name: len(seen.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
@@ -136,9 +146,15 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
         os.kill(victim, signal.SIGKILL)
         wait_until(lambda: len(running.children() - {victim}) == 2, 20, "started again")
         both = ("thumb: streaming", "index: streaming")
-        wait_until(lambda: any(all(b in n for b in both) for n in running.notices()[-4:]), 20, "both stream")
+        wait_until(
+            lambda: any(all(b in n for b in both) for n in running.notices()[-4:]),
+            20,
+            "both stream",
+        )
         assert any("ring: bad settings" in line for line in running.notices())
-        disturbed = [name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]]
+        disturbed = [
+            name for name in states if len(seen.of(f"tacshade/{name}/state")) > states[name]
+        ]
         assert len(disturbed) == 1, "the other never left the broker"
         (other,) = set(states) - set(disturbed)
         assert_accounted(health(seen, other)["frames"])
@@ -152,7 +168,9 @@ def test_one_that_dies_or_cannot_start_touches_no_other(folder: Path, broker: Br
     text = running.log()
     assert "sensors.ring.calibration: " in text
     assert "its process exited with -9" in text
-    assert {"thumb", "index", "ring"} <= {line.split(": ")[1] for line in text.splitlines() if "INFO" in line}
+    assert {"thumb", "index", "ring"} <= {
+        line.split(": ")[1] for line in text.splitlines() if "INFO" in line
+    }
 
 
 def test_one_that_ends_at_once_waits_longer_each_time(folder: Path) -> None:
@@ -191,7 +209,9 @@ def test_those_that_a_signal_stops_or_that_hang_are_started_again_and_end_with_t
     folder: Path, broker: Broker, seen: Subscriber
 ) -> None:
     parts = ("thumb", "index", "hand/left")
-    with run(folder, broker.port, "thumb", "index", thumb="0 0 0 1 0", index="0 0 0 1 0") as running:
+    with run(
+        folder, broker.port, "thumb", "index", thumb="0 0 0 1 0", index="0 0 0 1 0"
+    ) as running:
         wait_until(lambda: all(health(seen, name) for name in parts), 20, "all publish")
         victim = max(running.children())
         os.kill(victim, signal.SIGTERM)
@@ -214,7 +234,9 @@ def test_those_that_a_signal_stops_or_that_hang_are_started_again_and_end_with_t
     assert "a signal ended its process; restarting in 1 s" in running.log()
 
 
-def test_one_robots_line_gives_poses_to_every_sensor(folder: Path, broker: Broker, seen: Subscriber) -> None:
+def test_one_robots_line_gives_poses_to_every_sensor(
+    folder: Path, broker: Broker, seen: Subscriber
+) -> None:
     link = Path(f"/dev/shm/tacshade-hand-{os.getpid()}")
 
     def posed(name: str) -> bool:
@@ -263,11 +285,17 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
 ) -> None:
     # Nobody listens to what a finger sees.
     with (
-        run(folder, broker.port, "thumb", "index", thumb="100 0 0 1 0", index="0 0 0 1 1") as running,
+        run(
+            folder, broker.port, "thumb", "index", thumb="100 0 0 1 0", index="0 0 0 1 1"
+        ) as running,
         Subscriber(broker.port, "tacshade/+/health") as fingers,
     ):
         # Nobody listens to the hand yet: no depth is computed.
-        wait_until(lambda: health(fingers, "thumb").get("frames", {}).get("unasked", 0) > 60, 30, "unasked frames")
+        wait_until(
+            lambda: health(fingers, "thumb").get("frames", {}).get("unasked", 0) > 60,
+            30,
+            "unasked frames",
+        )
         frames = health(fingers, "thumb")["frames"]
         assert frames["published"] < 0.2 * frames["unasked"]
         topics = [(f"tacshade/+/{topic}", 1) for topic in ("state", "info", "instance")]
@@ -278,27 +306,47 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
             assert hand is not None
             (thumb, *_), (index, *_) = (hand.fingers[name].objects for name in ("thumb", "index"))
             x_mm, y_mm, z_mm = thumb.centroid_mm
-            assert index.centroid_mm == pytest.approx((-y_mm, x_mm - 100, z_mm), abs=1e-3)  # a quarter turn
+            assert index.centroid_mm == pytest.approx(
+                (-y_mm, x_mm - 100, z_mm), abs=1e-3
+            )  # a quarter turn
             assert index.depth_max_mm == thumb.depth_max_mm > 0
-            assert all(finger.age_ms is not None and finger.age_ms < 1000 for finger in hand.fingers.values())
+            assert all(
+                finger.age_ms is not None and finger.age_ms < 1000
+                for finger in hand.fingers.values()
+            )
             wait_until(lambda: last(fingers, "tacshade/thumb/info"), 10, "where the thumb is")
             info = last(fingers, "tacshade/thumb/info")
-            assert (info["hand_id"], info["hand_T_sensor"]) == ("left", [100.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+            assert (info["hand_id"], info["hand_T_sensor"]) == (
+                "left",
+                [100.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+            )
 
             # A reload moves the thumb, from the next frame on.
             config = folder / "hand.yaml"
             config.write_text(config.read_text().replace("[100.0, 0.0, 0.0,", "[100.0, 0.0, 50.0,"))
             running.process.send_signal(signal.SIGHUP)
-            wait_until(lambda: last(fingers, "tacshade/thumb/info")["hand_T_sensor"][2] == 50, 20, "its new place")
-            wait_until(lambda: thumb_z_mm(seen) == pytest.approx(z_mm + 50, abs=0.5), 20, "and used")
+            wait_until(
+                lambda: last(fingers, "tacshade/thumb/info")["hand_T_sensor"][2] == 50,
+                20,
+                "its new place",
+            )
+            wait_until(
+                lambda: thumb_z_mm(seen) == pytest.approx(z_mm + 50, abs=0.5), 20, "and used"
+            )
 
             # The hand's own process ends: the sensors never leave the broker, and it comes back.
             left = {name: len(fingers.of(f"tacshade/{name}/state")) for name in ("thumb", "index")}
             first = last(seen, f"{HAND}/instance")
             os.kill(first["process"], signal.SIGKILL)
-            wait_until(lambda: last(seen, f"{HAND}/instance")["id"] != first["id"], 20, "started again")
+            wait_until(
+                lambda: last(seen, f"{HAND}/instance")["id"] != first["id"], 20, "started again"
+            )
             count = len(seen.of(f"{HAND}/objects"))
-            wait_until(lambda: len(seen.of(f"{HAND}/objects")) > count and both_touch(seen), 20, "both touch again")
+            wait_until(
+                lambda: len(seen.of(f"{HAND}/objects")) > count and both_touch(seen),
+                20,
+                "both touch again",
+            )
             assert {name: len(fingers.of(f"tacshade/{name}/state")) for name in left} == left
 
             # A sensor's process ends: the hand says so at once, the other finger goes on.
@@ -360,9 +408,13 @@ def test_two_daemons(folder: Path, broker: Broker, seen: Subscriber, device: str
                 f"serial {device}: in use by another program",
             ):
                 wait_until(lambda text=text: text in second.log(), 30, text)
-            address = BrokerAddress(host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None)
+            address = BrokerAddress(
+                host="127.0.0.1", port=broker.port, username=None, password=None, tls_ca=None
+            )
             _, found = check_broker(address, "left")
-            finding = judge_daemon(found, Process(first.process.pid, ("tacshade-edge", "run")), "left")
+            finding = judge_daemon(
+                found, Process(first.process.pid, ("tacshade-edge", "run")), "left"
+            )
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
             expected = f"two daemons are using left: one is running {place}, and the other is waiting {waiting}"
             assert finding.found == expected
@@ -370,7 +422,11 @@ def test_two_daemons(folder: Path, broker: Broker, seen: Subscriber, device: str
             wait_until(lambda: captured() > before + 30, 30, "the first goes on")
             counts = health(seen, "left")
             assert (counts["mqtt"]["losses"], counts["frames"]["failed"]) == (0, failed)
-            assert not [t for t in ("in use by", "another daemon, on", "connection lost") if t in first.log()]
+            assert not [
+                t
+                for t in ("in use by", "another daemon, on", "connection lost")
+                if t in first.log()
+            ]
             second.stop()
         first.stop()
         assert set(seen.of("tacshade/left/state")) <= {b"online", b"stopped", b"degraded"}

@@ -153,7 +153,9 @@ def test_a_reload_takes_over_profile_and_calibration_but_a_new_source_or_broker_
     app = start(scripted(streaming(pictures.free)))
     wait_until(lambda: manager.watchdogs() >= 1)
     before, began_us = app._active.reconstructor, time.monotonic_ns() // 1000
-    other = calibration_file.with_crc(replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0))
+    other = calibration_file.with_crc(
+        replace(painted_calibration(), noise_grey=painted_calibration().noise_grey + 1.0)
+    )
     calibration_file.save(settings.parent / "other.npz", other)
     text = settings.read_text()
     for old, new in (
@@ -165,9 +167,13 @@ def test_a_reload_takes_over_profile_and_calibration_but_a_new_source_or_broker_
         text = text.replace(old, new)
     settings.write_text(text)
     app.reload()
-    wait_until(lambda: manager.has("READY=1\nSTATUS=restart the daemon to use the new source and mqtt"))
+    wait_until(
+        lambda: manager.has("READY=1\nSTATUS=restart the daemon to use the new source and mqtt")
+    )
     assert app._active.reconstructor.profile.name == "paper"
-    reloading = next(message for message in manager.heard if message.startswith("RELOADING=1\nMONOTONIC_USEC="))
+    reloading = next(
+        message for message in manager.heard if message.startswith("RELOADING=1\nMONOTONIC_USEC=")
+    )
     assert began_us <= int(reloading.rpartition("=")[2]) <= time.monotonic_ns() // 1000
     assert app._active.reconstructor.calibration.crc32 == other.crc32 != before.calibration.crc32
 
@@ -230,4 +236,6 @@ def test_a_manager_that_is_gone_is_reported_and_no_end(
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     notify("READY=1")
-    assert [r.getMessage() for r in caplog.records] == ["cannot notify the service manager: No such file or directory"]
+    assert [r.getMessage() for r in caplog.records] == [
+        "cannot notify the service manager: No such file or directory"
+    ]

@@ -39,7 +39,9 @@ def test_who_may_open_the_websocket(origin: str | None, host: str | None, passes
     assert (refusal(origin, host, {"https://hand.example"}) == "") is passes
 
 
-async def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog: pytest.LogCaptureFixture) -> None:
+async def test_another_page_is_refused_before_any_byte_reaches_the_broker(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     connected = []
 
     async def count(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -59,7 +61,9 @@ async def test_another_page_is_refused_before_any_byte_reaches_the_broker(caplog
             with pytest.raises(ConnectionClosed):
                 await page.recv()
         assert connected == [1]
-    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [1]  # reported once
+    assert [r.getMessage().count("--origin http://evil.example") for r in caplog.records] == [
+        1
+    ]  # reported once
 
 
 async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
@@ -127,7 +131,12 @@ def test_who_guesses_locks_out_no_browser_that_is_logged_in(login: Login, as_coo
     assert login.refusal(None, mine, "shared", 2.0) is None
     assert login.refusal(None, fresh, "shared", 2.0) is TOO_MANY  # a guess would look like this
     assert login.refusal(None, f"{str(mine)[:-1]}x", "shared", 2.0) is WRONG
-    assert login.refusal(None, cookie(Login("another-token-of-us", "tacshade-80", secure=True)), "a", 2.0) is WRONG
+    assert (
+        login.refusal(
+            None, cookie(Login("another-token-of-us", "tacshade-80", secure=True)), "a", 2.0
+        )
+        is WRONG
+    )
 
 
 def test_so_many_browsers_and_addresses_are_remembered_and_no_more(login: Login) -> None:

@@ -51,13 +51,24 @@ def answers(*calls: tuple[Any, ...]) -> list[dict[str, Any]]:
 
 
 def grid(**changed: Any) -> dict[str, Any]:
-    return {"rows": 2, "cols": 2, "row0": 0, "col0": 0, "step_px": 4, "height_mm": [0, 1, 2, None]} | changed
+    return {
+        "rows": 2,
+        "cols": 2,
+        "row0": 0,
+        "col0": 0,
+        "step_px": 4,
+        "height_mm": [0, 1, 2, None],
+    } | changed
 
 
 def info(**changed: Any) -> dict[str, Any]:
     """As the daemon reports it, with another geometry."""
     reported = messages.encode_info(
-        version="0", config_digest="0", profile="fast", calibration=calibration(), profiles=("fast",)
+        version="0",
+        config_digest="0",
+        profile="fast",
+        calibration=calibration(),
+        profiles=("fast",),
     )
     made: dict[str, Any] = json.loads(reported)
     made["geometry"].update(changed)
@@ -70,14 +81,22 @@ def finger(**changed: Any) -> dict[str, Any]:
 
 
 def numbers(**values: Any) -> dict[str, Any]:
-    return {"seq": 1, "touch": values, "touch_sigma": {name: None if v is None else 0.5 for name, v in values.items()}}
+    return {
+        "seq": 1,
+        "touch": values,
+        "touch_sigma": {name: None if v is None else 0.5 for name, v in values.items()},
+    }
 
 
 NAN, INFINITE = {"f": "NaN"}, {"f": "Infinity"}
 
 
 def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
-    long = {"reason": "x" * 200_000, **{f"k{k}": k for k in range(20_000)}, "list": ["y" * 1000] * 500}
+    long = {
+        "reason": "x" * 200_000,
+        **{f"k{k}": k for k in range(20_000)},
+        "list": ["y" * 1000] * 500,
+    }
     cut, nested, large, *others = answers(
         ("read", {"bytes": json.dumps(long)}),
         ("read", {"bytes": '{"a":' * 50 + "1" + "}" * 50}),
@@ -97,7 +116,11 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
     [
         (
             "checkDecoded",
-            [(grid(), "height_mm"), ({"points_mm": [1, 2, 3]}, "points_mm"), ({"points_mm": []}, "points_mm")],
+            [
+                (grid(), "height_mm"),
+                ({"points_mm": [1, 2, 3]}, "points_mm"),
+                ({"points_mm": []}, "points_mm"),
+            ],
             [
                 *((grid(rows=value), "height_mm") for value in (0, 4097, NAN)),
                 *((grid(step_px=value), "height_mm") for value in (0, 1e-30, NAN, INFINITE)),
@@ -147,7 +170,12 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
         (
             "checkPart",
             [({"state": "streaming", "reason": "", "device": "x"},)],
-            [({},), ({"state": {}},), ({"state": "x", "reason": {}},), ({"state": "playing", "position_s": "x"},)],
+            [
+                ({},),
+                ({"state": {}},),
+                ({"state": "x", "reason": {}},),
+                ({"state": "playing", "position_s": "x"},),
+            ],
         ),
         (
             "checkHand",
@@ -158,7 +186,16 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
                 ({"fingers": {"../x#": {"state": "free", "objects": []}}},),
                 ({"fingers": {f"f{k}": {"state": "free", "objects": []} for k in range(17)}},),
                 ({"fingers": {"a": {"state": "free", "objects": 5}}},),
-                ({"fingers": {"a": {"state": "contact", "objects": [{"depth_max_mm": 1, "area_mm2": 1}] * 65}}},),
+                (
+                    {
+                        "fingers": {
+                            "a": {
+                                "state": "contact",
+                                "objects": [{"depth_max_mm": 1, "area_mm2": 1}] * 65,
+                            }
+                        }
+                    },
+                ),
             ],
         ),
     ],
@@ -166,4 +203,8 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
 def test_what_cannot_be_drawn_is_refused(check: str, sound: list[Any], hostile: list[Any]) -> None:
     given = answers(*((check, *one) for one in [*sound, *hostile]))
     assert [answer for answer in given[: len(sound)] if "error" in answer] == []
-    assert [one for one, answer in zip(hostile, given[len(sound) :], strict=True) if "error" not in answer] == []
+    assert [
+        one
+        for one, answer in zip(hostile, given[len(sound) :], strict=True)
+        if "error" not in answer
+    ] == []

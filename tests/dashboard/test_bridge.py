@@ -66,7 +66,9 @@ async def test_a_page_that_goes_away_leaves_no_connection_at_the_broker() -> Non
         await ended.wait()
 
 
-async def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(bridge, "STALL_S", 0.3)
     ended = asyncio.Event()
 
@@ -97,7 +99,9 @@ def test_height_maps_of_full_size_come_through_mosquitto_over_tls(tmp_path: Path
         reader.on_connect = lambda client, *_: client.subscribe("height")
         reader.on_subscribe = lambda *_: writer.loop_start()
         reader.on_message = lambda _client, _data, message: received.append(message.payload)
-        writer.on_connect = lambda client, *_: [client.publish("height", payload) for _ in range(10)]
+        writer.on_connect = lambda client, *_: [
+            client.publish("height", payload) for _ in range(10)
+        ]
         writer.tls_set(ca_certs=str(broker.ca))
         writer.connect_async("127.0.0.1", broker.port)
         reader.loop_start()

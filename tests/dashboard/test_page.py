@@ -47,7 +47,9 @@ from tools.testbed.patience import wait_until
 pytestmark = NEEDS_A_BROWSER
 
 
-def test_every_cell_has_the_colour_of_its_depth(page: Chrome, address: str, sensor: PublishedSensor) -> None:
+def test_every_cell_has_the_colour_of_its_depth(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     """A known shape: where it lies, how it falls off, what is outside, and what the pointer reads."""
     row, col = DISC.row_c + 40, DISC.col_c - 60
     opened(page, address)
@@ -58,12 +60,16 @@ def test_every_cell_has_the_colour_of_its_depth(page: Chrome, address: str, sens
     for r, c in [(row, col), (row + 50, col), (row, col + 90), (DISC.row_c - 180, DISC.col_c)]:
         shown = js(page, f"tacshade.depthAt({r}, {c})")
         assert shown == pytest.approx(float(truth[round(r), round(c)]), abs=scale / 255), (r, c)
-    assert js(page, f"tacshade.depthAt({DISC.row_c}, {DISC.col_c + DISC.radius_px + 1})") is None  # NaN
+    assert (
+        js(page, f"tacshade.depthAt({DISC.row_c}, {DISC.col_c + DISC.radius_px + 1})") is None
+    )  # NaN
     assert js(page, f"tacshade.depthAt(1, {COLS - 1})") is None
 
     canvas = page.find_element(By.ID, "cells")
     to_screen = canvas.rect["width"] / (2 * DISC.radius_px)
-    ActionChains(page).move_to_element_with_offset(canvas, round(-60 * to_screen), round(40 * to_screen)).perform()
+    ActionChains(page).move_to_element_with_offset(
+        canvas, round(-60 * to_screen), round(40 * to_screen)
+    ).perform()
     shows(page, "cursor", "2.6")
     shows(page, "cursor", "± 0.13 mm")
     shows(page, "cursor", "x -")
@@ -105,7 +111,9 @@ def test_arrows_show_how_the_skin_was_dragged_and_dots_when_it_slides(
     assert js(page, "tacshade.arrows") == 0
 
 
-def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: Path, calibration: Path) -> None:
+def test_profile_and_zero_are_changed_through_requests(
+    page: Chrome, tmp_path: Path, calibration: Path
+) -> None:
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
@@ -113,8 +121,12 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
     ):
         opened(page, address)
         profile = Select(page.find_element(By.ID, "profile"))
-        wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online")
-        assert [option.text for option in profile.options] == [name for name in PROFILES if name != "paper"]
+        wait_until(
+            lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the sensor is online"
+        )
+        assert [option.text for option in profile.options] == [
+            name for name in PROFILES if name != "paper"
+        ]
         profile.select_by_value("accurate")
         shows(page, "answer", "The profile is accurate.")
         wait_until(lambda: page.find_element(By.ID, "profile").is_enabled(), 15, "the answer")
@@ -125,7 +137,9 @@ def test_profile_and_zero_are_changed_through_requests(page: Chrome, tmp_path: P
         shows(page, "answer", "Took a new zero", 30)
         drawn(page)
         picture(page, "dashboard", (1000, 1480))
-        wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again")
+        wait_until(
+            lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again"
+        )
 
 
 def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
@@ -142,7 +156,9 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
     sensor.publish("preview", picture)
     shows(page, "state", "degraded camera: not calibrated: found no file")
     wait_until(lambda: page.find_element(By.ID, "picture").is_displayed(), 15, "the picture")
-    assert not any(page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers"))
+    assert not any(
+        page.find_element(By.ID, name).is_displayed() for name in ("height", "space", "numbers")
+    )
     assert not page.find_element(By.ID, "rezero").is_enabled()
     sensor.publish_info("fast", profiles=("fast",))
     wait_until(lambda: page.find_element(By.ID, "height").is_displayed(), 15, "calibrated")
@@ -151,7 +167,12 @@ def test_a_hand_that_is_not_calibrated_yet_shows_its_picture_and_why(
 def test_several_hands(page: Chrome, tmp_path: Path) -> None:
     def tabs() -> list[str]:
         # in one step: the page replaces the tabs when a sensor reports its state
-        return list(js(page, "[...document.querySelectorAll('#sensors button')].map(tab => tab.innerText.trim())"))
+        return list(
+            js(
+                page,
+                "[...document.querySelectorAll('#sensors button')].map(tab => tab.innerText.trim())",
+            )
+        )
 
     with (
         Broker(tmp_path) as broker,
@@ -173,7 +194,9 @@ def test_several_hands(page: Chrome, tmp_path: Path) -> None:
         assert page.title.startswith("index")
         index.publish("state", b"offline", retain=True)
         shows(page, "state", "offline")
-        assert js(page, "tacshade.sensor") == "index"  # the page does not jump away from what one looks at
+        assert (
+            js(page, "tacshade.sensor") == "index"
+        )  # the page does not jump away from what one looks at
 
 
 def boxes(page: Chrome, selector: str) -> list[list[float]]:
@@ -198,7 +221,9 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
         page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
         page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
         opened(page, address)
-        until_shown(page, sensor, lambda: dragged(bump(1, 2.4, DISC.row_c, DISC.col_c, 4), 1.0, 0.0), 1)
+        until_shown(
+            page, sensor, lambda: dragged(bump(1, 2.4, DISC.row_c, DISC.col_c, 4), 1.0, 0.0), 1
+        )
         shows(page, "n-slip", "sticks")
         for name in ("state", "n-contact", "n-depth", "n-slip", "cells", "bar", "ticks", "cursor"):
             ((left, top, right, bottom),) = boxes(page, f"#{name}")
@@ -219,7 +244,9 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
 ROW, COL = 236.0, 300.0
 
 
-def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chrome, tmp_path: Path) -> None:
+def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(
+    page: Chrome, tmp_path: Path
+) -> None:
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}") as address,
@@ -227,7 +254,11 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         PublishedSensor(broker.port, "run-b") as other,
     ):
         opened(page, address, "run-a")
-        wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
+        wait_until(
+            lambda: len(Select(page.find_element(By.ID, "against")).options) == 3,
+            15,
+            "there is another",
+        )
         Select(page.find_element(By.ID, "against")).select_by_value("run-b")
         shows(page, "compare-words", "it has published nothing yet")
         until_shown(page, first, lambda: bump(7, 2.0, ROW, COL, 4), 7)
@@ -241,12 +272,18 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(page: Chr
         assert seen["worst_mm"] == pytest.approx(0.5, abs=0.01)  # the first is deeper
         assert (seen["row"], seen["col"]) == (ROW, COL)
         heights = [bump(0, depth_mm, ROW, COL, 4).height.height_mm for depth_mm in (2.0, 1.5)]
-        assert seen["mean_mm"] == pytest.approx(np.nanmean(np.abs(heights[1] - heights[0])), rel=0.02)
+        assert seen["mean_mm"] == pytest.approx(
+            np.nanmean(np.abs(heights[1] - heights[0])), rel=0.02
+        )
         shows(page, "compare-words", "+0.500 mm at worst, at row 236, col 300 px")
         shows(page, "compare-numbers", "greatest depth, mm 2.00 1.50 +0.50")
         shows(page, "compare-numbers", "frame 7 8")
         other.publish("state", b"", retain=True)  # gone
-        wait_until(lambda: not page.find_element(By.ID, "compare").is_displayed(), 15, "nothing to compare with")
+        wait_until(
+            lambda: not page.find_element(By.ID, "compare").is_displayed(),
+            15,
+            "nothing to compare with",
+        )
         assert errors(page) == []
 
 
@@ -254,7 +291,8 @@ ROWS = """[...document.querySelectorAll("#touch-numbers > div")].map((row) => ({
   name: row.querySelector("dt").textContent, value: row.querySelector("dd").textContent, title: row.title,
   bar: row.querySelector("i").hidden ? null : ["left", "width"].map((end) => row.querySelector("i").style[end])}))"""
 KNOWN = Touch(
-    {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": 2.5}, {"depth_mm": 0.25, "tilt_x_deg": 1.0, "force_z_n": 0.5}
+    {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": 2.5},
+    {"depth_mm": 0.25, "tilt_x_deg": 1.0, "force_z_n": 0.5},
 )
 OUTSIDE = Touch(
     {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": None},
@@ -277,7 +315,11 @@ def test_numbers_have_their_intervals_and_what_is_not_known_says_why(
     wait_until(lambda: sensor.show(touched(7, KNOWN)) or len(rows(page)) == 3, 15, "the touch")
     depth, tilt, force = rows(page)
     assert [row["name"] for row in (depth, tilt, force)] == ["depth", "tilt x", "force z"]
-    assert [row["value"] for row in (depth, tilt, force)] == ["1.50 ± 0.25 mm", "-8.0 ± 1.0 °", "2.50 ± 0.50 N"]
+    assert [row["value"] for row in (depth, tilt, force)] == [
+        "1.50 ± 0.25 mm",
+        "-8.0 ± 1.0 °",
+        "2.50 ± 0.50 N",
+    ]
     assert depth["title"] == "One standard deviation; the bar is from −2 to 2 mm"
     assert [float(part.removesuffix("%")) for part in depth["bar"]] == pytest.approx(
         [50 + 50 * 1.25 / 2, 100 * 0.25 / 2]
@@ -303,9 +345,17 @@ def rows(page: Chrome) -> list[dict[str, Any]]:
     return found
 
 
-def test_contacts_are_listed_newest_first(page: Chrome, address: str, sensor: PublishedSensor) -> None:
+def test_contacts_are_listed_newest_first(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     page.get(f"{address}#drawn")
-    base = {"t_ns": 4_000_000_000, "wall_ns": 1, "start_ns": 1_000_000_000, "end_ns": None, "depth_max_mm": 1.5}
+    base = {
+        "t_ns": 4_000_000_000,
+        "wall_ns": 1,
+        "start_ns": 1_000_000_000,
+        "end_ns": None,
+        "depth_max_mm": 1.5,
+    }
     ended = {"id": 1, "type": "end", "end_ns": 3_500_000_000, "slip": 2}
     rows = "return [...document.querySelectorAll('#lived-list tr')].map((row) => row.innerText.split('\\t'))"
 

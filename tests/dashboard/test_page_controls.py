@@ -10,7 +10,17 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 from support.dashboard_process import dashboard
 from support.published_sensor import PublishedSensor, bump
-from support.shown_page import NEEDS_A_BROWSER, daemon, drawn, js, opened, picture, shows, text, until_shown
+from support.shown_page import (
+    NEEDS_A_BROWSER,
+    daemon,
+    drawn,
+    js,
+    opened,
+    picture,
+    shows,
+    text,
+    until_shown,
+)
 
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
@@ -54,8 +64,12 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_shown_at_once(
         press(page, "stop")
         shows(page, "answer", "Recorded ")
         events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
-        assert [event["data"] for event in events if event["kind"] == "mark"] == [{"text": "it <b>slips</b>"}]
-        wait_until(lambda: page.find_element(By.NAME, "record").is_displayed(), 15, "another can be made")
+        assert [event["data"] for event in events if event["kind"] == "mark"] == [
+            {"text": "it <b>slips</b>"}
+        ]
+        wait_until(
+            lambda: page.find_element(By.NAME, "record").is_displayed(), 15, "another can be made"
+        )
         assert not page.find_element(By.ID, "remove").is_displayed()
 
         child.kill()
@@ -70,7 +84,9 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_shown_at_once(
         picture(page, "dashboard-dead", (760, 560))
 
         page.find_element(By.ID, "remove").click()
-        wait_until(lambda: not page.find_element(By.ID, "sensor").is_displayed(), 10, "the sensor is gone")
+        wait_until(
+            lambda: not page.find_element(By.ID, "sensor").is_displayed(), 10, "the sensor is gone"
+        )
         page.refresh()
         shows(page, "restore", "Show 1 removed")
         assert js(page, "document.querySelectorAll('#sensors button').length") == 0
@@ -94,7 +110,9 @@ def test_a_new_zero_waits_until_nothing_touches(
 
         wait_until(resting, 15, f"request {count}")
         body = json.loads(seen.of("tacshade/drawn/req/reference")[-1])
-        sensor.publish("res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode())
+        sensor.publish(
+            "res/reference", json.dumps({"transaction": body["transaction"], **answer}).encode()
+        )
 
     opened(page, address)
     until_shown(page, sensor, lambda: bump(1, 2.0, 200, 300, step_px=4), 1)

@@ -53,7 +53,9 @@ class WholeHand:
     """Five fingers and their hand, without daemons."""
 
     def __init__(self, broker: Broker, stack: ExitStack) -> None:
-        self.fingers = {name: stack.enter_context(PublishedSensor(broker.port, name)) for name in PLACES_MM}
+        self.fingers = {
+            name: stack.enter_context(PublishedSensor(broker.port, name)) for name in PLACES_MM
+        }
         for name, finger in self.fingers.items():
             place = (*map(float, PLACES_MM[name]), 1.0, 0.0, 0.0, 0.0)
             finger.publish_info("fast", profiles=("fast",), hand_id="left", hand_T_sensor=place)
@@ -62,15 +64,26 @@ class WholeHand:
         self.own.publish("tacshade/hand/left/state", b"online", retain=True)
 
     def publish(
-        self, touching: Reconstruction | None, motion: dict[str, object] | None = None, **other: Finger
+        self,
+        touching: Reconstruction | None,
+        motion: dict[str, object] | None = None,
+        **other: Finger,
     ) -> None:
         """One message of the hand, with a motion of all that is touched, and where the thumb touches its map."""
-        thumb = Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,)) if touching else FREE
+        thumb = (
+            Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,))
+            if touching
+            else FREE
+        )
         fingers = {**dict.fromkeys(PLACES_MM, FREE), "thumb": thumb, **other}
         self._seq += 1
-        message = HandObjects(t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), seq=self._seq, fingers=fingers)
+        message = HandObjects(
+            t_ns=time.monotonic_ns(), wall_ns=time.time_ns(), seq=self._seq, fingers=fingers
+        )
         document = json.loads(encode_hand(message))
-        for touched in chain.from_iterable(finger["objects"] for finger in document["fingers"].values()):
+        for touched in chain.from_iterable(
+            finger["objects"] for finger in document["fingers"].values()
+        ):
             touched["motion"] = motion
         self.own.publish("tacshade/hand/left/objects", json.dumps(document).encode(), 0)
         if touching:
@@ -110,11 +123,15 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     peaks = js(page, PEAKS)
     assert len(peaks) == 5
     assert max(peaks[1:3]) < 80, "fingers that touch nothing are drawn flat"
-    captions = [figure.text for figure in page.find_elements(By.CSS_SELECTOR, "#whole-maps figcaption")]
+    captions = [
+        figure.text for figure in page.find_elements(By.CSS_SELECTOR, "#whole-maps figcaption")
+    ]
     assert captions[0] == "thumb\n2.60 mm\nslips in part"
     assert captions[3] == "ring\naway: lost"
     assert text(page, "whole-state") == "left: online"
-    shows(page, "whole-objects", "thumb -79.0, -3.5, 34.3 0.60, 0.00, 0.80 2.60 50 0.50 slips in part")
+    shows(
+        page, "whole-objects", "thumb -79.0, -3.5, 34.3 0.60, 0.00, 0.80 2.60 50 0.50 slips in part"
+    )
     assert text(page, "whole-axes").startswith("x to the right, z upwards")
     (dot,) = page.find_elements(By.CSS_SELECTOR, "#whole-plane .touched")
     assert [float(dot.get_attribute(key) or "nan") for key in ("cx", "cy")] == [-79.0, -34.25]
@@ -129,27 +146,40 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     wait_until(released, 20, "a release whose map was lost")
 
 
-def test_a_hand_is_not_called_old_before_its_first_word(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+def test_a_hand_is_not_called_old_before_its_first_word(
+    page: Chrome, hand: tuple[str, WholeHand]
+) -> None:
     opened(page, hand[0], "hand/right")
     shows(page, "whole-state", "No word from this hand yet.")
 
 
 def moved_by(x_mm: float, turned_deg: float) -> dict[str, object]:
     """A motion as objects of a hand's message have it."""
-    where = {"about_mm": [0, 0, 0], "translation_mm": [x_mm, 0, 0], "rotation_deg": [0, turned_deg, 0]}
+    where = {
+        "about_mm": [0, 0, 0],
+        "translation_mm": [x_mm, 0, 0],
+        "rotation_deg": [0, turned_deg, 0],
+    }
     return {**where, "covariance": [0] * 36, "since_ns": 5, "unobservable": [], "left_out": []}
 
 
-def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[str, WholeHand]) -> None:
+def test_what_is_held_is_drawn_as_one_body_that_moves(
+    page: Chrome, hand: tuple[str, WholeHand]
+) -> None:
     address, whole = hand
     opened(page, address, "hand/left")
     corners = {"thumb": (-80.0, 0.0, 0.0), "index": (0.0, 0.0, 60.0), "ring": (80.0, 0.0, 0.0)}
 
     def drawn(motion: dict[str, object] | None, at_mm: float) -> list[list[float]]:
         touched = {n: replace(TOUCHED, centroid_mm=p) for n, p in corners.items()}
-        fingers = {n: Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(o,)) for n, o in touched.items()}
+        fingers = {
+            n: Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(o,))
+            for n, o in touched.items()
+        }
         whole.publish(None, **fingers, motion=motion)
-        points = str(js(page, "document.querySelector('#whole-plane .body')?.getAttribute('points') ?? ''"))
+        points = str(
+            js(page, "document.querySelector('#whole-plane .body')?.getAttribute('points') ?? ''")
+        )
         found = sorted([float(v) for v in corner.split(",")] for corner in points.split())
         return found if found and abs(found[0][0] - at_mm) < 0.01 else []
 
@@ -158,12 +188,20 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(page: Chrome, hand: tuple[
     # The body looks the same before: only its second outline shows that the page has drawn a motion.
     held = "document.querySelector('#whole-plane .grasped') !== null"
     wait_until(lambda: drawn(moved_by(0, 0), -80.0) and js(page, held), 20, "grasped")
-    assert js(page, "[...document.querySelectorAll('#whole-plane .name')].map((n) => n.textContent)") == [*PLACES_MM]
+    assert js(
+        page, "[...document.querySelectorAll('#whole-plane .name')].map((n) => n.textContent)"
+    ) == [*PLACES_MM]
     wait_until(lambda: drawn(moved_by(4, 0), -76.0), 20, "it moves")
     assert list(chain(*drawn(moved_by(4, 0), -76.0))) == pytest.approx([-76, 0, 4, -60, 84, 0])
-    assert "-80,0" in js(page, "document.querySelector('#whole-plane .grasped').getAttribute('points')")
+    assert "-80,0" in js(
+        page, "document.querySelector('#whole-plane .grasped').getAttribute('points')"
+    )
     turned = math.radians(10)
-    wait_until(lambda: drawn(moved_by(0, 10), -80 * math.cos(turned)), 20, "it is turned about the hand's y")
+    wait_until(
+        lambda: drawn(moved_by(0, 10), -80 * math.cos(turned)),
+        20,
+        "it is turned about the hand's y",
+    )
     first = drawn(moved_by(0, 10), -80 * math.cos(turned))[0]
     assert first[1] == pytest.approx(-80 * math.sin(turned)), "what has x < 0 goes up"
     shows(page, "whole-axes", "since it was grasped moved by 0.0 mm, turned by 10.0°")

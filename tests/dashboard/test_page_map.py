@@ -10,7 +10,16 @@ from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from support.growing_map import PAD, scan
 from support.published_sensor import PublishedSensor
-from support.shown_page import NEEDS_A_BROWSER, js, mapping, opened, picture, shows, text, until_mapped
+from support.shown_page import (
+    NEEDS_A_BROWSER,
+    js,
+    mapping,
+    opened,
+    picture,
+    shows,
+    text,
+    until_mapped,
+)
 
 from tacshade_edge.protocol import messages
 from tools.testbed.mqtt_rig import Subscriber
@@ -19,7 +28,9 @@ from tools.testbed.patience import wait_until
 pytestmark = NEEDS_A_BROWSER
 
 
-def test_the_map_grows_with_its_revisions(page: Chrome, address: str, sensor: PublishedSensor) -> None:
+def test_the_map_grows_with_its_revisions(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     """From the first press to the final map: every place has the colour of its z, elsewhere there is nothing."""
     x, y = 400.0, -250.0  # of the pad's corner in the base frame
     opened(page, address)
@@ -76,23 +87,31 @@ def test_a_stitching_session_is_commanded_through_requests(
 ) -> None:
     def status(state: str, name: str, presses: int) -> None:
         sensor.publish(
-            "status/stitching", messages.encode_status(state, None, {"name": name, "presses": presses}), retain=True
+            "status/stitching",
+            messages.encode_status(state, None, {"name": name, "presses": presses}),
+            retain=True,
         )
 
     def asked(count: int, result: dict[str, object], error: str = "") -> dict[str, object]:
         body = json.loads(seen.wait_for("tacshade/drawn/req/stitch", count, 15)[-1])
         answer = {"ok": False, "error": error} if error else {"ok": True, "result": result}
-        sensor.publish("res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode())
+        sensor.publish(
+            "res/stitch", json.dumps({"transaction": body.pop("transaction"), **answer}).encode()
+        )
         return dict(body)
 
     def press(name: str) -> None:
         button = page.find_element(By.NAME, name)
-        wait_until(lambda: button.is_displayed() and button.is_enabled(), 15, f"{name} can be pressed")
+        wait_until(
+            lambda: button.is_displayed() and button.is_enabled(), 15, f"{name} can be pressed"
+        )
         button.click()
 
     opened(page, address)
     wait_until(lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "the sensor is online")
-    assert not page.find_element(By.ID, "session").is_displayed()  # one without poses has no sessions
+    assert not page.find_element(
+        By.ID, "session"
+    ).is_displayed()  # one without poses has no sessions
     status("idle", "", 0)
     press("begin")
     assert asked(1, {"name": "20261121-120000"}) == {"action": "begin"}

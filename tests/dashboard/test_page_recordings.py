@@ -40,7 +40,9 @@ def press(page: Chrome, words: str, name: str) -> None:
 
 
 def names(page: Chrome) -> list[str]:
-    return list(js(page, "[...document.querySelectorAll('#recordings-list b')].map((b) => b.textContent)"))
+    return list(
+        js(page, "[...document.querySelectorAll('#recordings-list b')].map((b) => b.textContent)")
+    )
 
 
 def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> None:
@@ -48,9 +50,14 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
     path = recorded(folder, "press-1")
     recorded(folder, "left-thumb/press-2", 1)
     (path / "more.bin").write_bytes(bytes(range(256)) * 78_125)
-    with Broker(tmp_path) as broker, dashboard(f"127.0.0.1:{broker.port}", "--recordings", str(folder)) as address:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", "--recordings", str(folder)) as address,
+    ):
         opened(page, address)
-        wait_until(lambda: names(page) == ["press-1", "left-thumb/press-2"], 15, "both, the newest first")
+        wait_until(
+            lambda: names(page) == ["press-1", "left-thumb/press-2"], 15, "both, the newest first"
+        )
         shows(page, "recordings-list", "1 frame · 0.0 MB")
         page.execute_script(SAVED)  # the driver waits for ever after a download that the page began
         press(page, "Download", "press-1")
@@ -89,7 +96,10 @@ def test_a_recording_is_played_and_ended_from_the_list(page: Chrome, tmp_path: P
     calibration_file.save(path / "calibration.npz", painted_calibration())
     (path / "recording.json").write_text(json.dumps({"frames": 303, "bytes": 9_000_000}))
     recorded(folder, "broken", 1)  # without a calibration of its own
-    with Broker(tmp_path) as broker, dashboard(f"127.0.0.1:{broker.port}", "--recordings", str(folder)) as address:
+    with (
+        Broker(tmp_path) as broker,
+        dashboard(f"127.0.0.1:{broker.port}", "--recordings", str(folder)) as address,
+    ):
         opened(page, address)
         press(page, "Play", "broken")
         shows(page, "recordings-words", "broken: ")
@@ -143,12 +153,18 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
         # Slowly, so that none ends before a slow browser has chosen both.
         command += ["--mqtt", f"127.0.0.1:{broker.port}", "--speed", "0.25"]
         child, other = (
-            subprocess.Popen([*command, "--sensor-id", name, "--profile", profile], stdout=subprocess.DEVNULL)
+            subprocess.Popen(
+                [*command, "--sensor-id", name, "--profile", profile], stdout=subprocess.DEVNULL
+            )
             for name, profile in (("run-a", "balanced"), ("run-b", "fast"))
         )
         try:
             opened(page, address, "run-a")
-            wait_until(lambda: len(Select(page.find_element(By.ID, "against")).options) == 3, 15, "there is another")
+            wait_until(
+                lambda: len(Select(page.find_element(By.ID, "against")).options) == 3,
+                15,
+                "there is another",
+            )
             Select(page.find_element(By.ID, "against")).select_by_value("run-b")
             shows(page, "compare-numbers", "profile balanced fast")
             shows(page, "playback", " of 9.87 s")
@@ -163,15 +179,23 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
             wait_until(lambda: js(page, "tacshade.seq") == 92, 15, "the next frame")
             wait_until(lambda: js(page, "tacshade.seq") == 92 and is_in_step(), 15, "of both")
             press("back")
-            wait_until(lambda: js(page, "tacshade.seq") == 91 and is_in_step(), 15, "the frame before, of both")
+            wait_until(
+                lambda: js(page, "tacshade.seq") == 91 and is_in_step(),
+                15,
+                "the frame before, of both",
+            )
             picture(page, "dashboard-compare", (1280, 640), "compare")
             wind(1.0)
             wait_until(lambda: js(page, "tacshade.seq") == 31, 15, "an earlier frame")
             shows(page, "playback", "1.02 s of 9.87 s, frame 31")
             picture(page, "dashboard-playback", (760, 420), "control")
             assert js(page, "document.getElementById('stale').hidden")  # it is paused, not late
-            Select(page.find_element(By.CSS_SELECTOR, "#playback [name=speed]")).select_by_visible_text("4 ×")
-            wait_until(lambda: b'"speed":4' in seen.of("tacshade/run-a/status/replay")[-1], 15, "faster")
+            Select(
+                page.find_element(By.CSS_SELECTOR, "#playback [name=speed]")
+            ).select_by_visible_text("4 ×")
+            wait_until(
+                lambda: b'"speed":4' in seen.of("tacshade/run-a/status/replay")[-1], 15, "faster"
+            )
             press("play")
             wait_until(lambda: js(page, "tacshade.seq") > 100, 15, "it goes on")
             child.send_signal(signal.SIGINT)
@@ -180,5 +204,7 @@ def test_a_recording_is_paused_stepped_wound_and_played_again(page: Chrome, tmp_
             for process in (child, other):
                 process.kill()
                 process.wait()
-        wait_until(lambda: not page.find_element(By.ID, "playback").is_displayed(), 15, "nothing to play")
+        wait_until(
+            lambda: not page.find_element(By.ID, "playback").is_displayed(), 15, "nothing to play"
+        )
         assert all(b'"ok":true' in reply for reply in seen.of("tacshade/run-a/res/replay"))

@@ -51,21 +51,30 @@ def test_it_recovers_from_a_broker_restart(page: Chrome, tmp_path: Path, calibra
         assert not page.find_element(By.ID, "rezero").is_enabled()
 
 
-def test_strange_messages_are_counted_and_shown_as_text(page: Chrome, address: str, sensor: PublishedSensor) -> None:
+def test_strange_messages_are_counted_and_shown_as_text(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
     evil = '<img src=x onerror="document.title=1"> & <b>bold</b>'
     opened(page, address)
     until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
     unfold_health(page)
     assert js(page, "tacshade.undecodable") == 0
     sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
-    for count, damaged in enumerate([b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1):
+    for count, damaged in enumerate(
+        [b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1
+    ):
         sensor.publish("height", damaged)
-        wait_until(lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted")  # type: ignore[misc]
+        wait_until(
+            lambda count=count: js(page, "tacshade.undecodable") == count, 10, f"{count} counted"
+        )  # type: ignore[misc]
     for topic in ("health", "contact", "status/camera", "info"):
         for payload in (b"{", b"null", b"\xff\xfe", b"[]"):
             sensor.publish(topic, payload)
     sensor.publish("preview", b"no JPEG")
-    sensor.publish("status/camera", json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode())
+    sensor.publish(
+        "status/camera",
+        json.dumps({"state": "away", "reason": evil, "device": {"a": [evil]}}).encode(),
+    )
     sensor.publish("health", json.dumps({evil: evil, "temperature_c": {"cpu": 61.5}}).encode())
     shows(page, "parts", evil)
     shows(page, "state", evil)
@@ -89,7 +98,11 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
             field.send_keys(name)
             page.find_element(By.NAME, "password").send_keys(word)
             page.find_element(By.CSS_SELECTOR, "#login button").click()
-            shows(page, "link" if word == "right" else "login-why", "Connected" if word == "right" else "rejected")
+            shows(
+                page,
+                "link" if word == "right" else "login-why",
+                "Connected" if word == "right" else "rejected",
+            )
         assert not page.find_element(By.ID, "login").is_displayed()
         until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
         page.refresh()  # kept for this tab
@@ -99,7 +112,10 @@ def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:
 
 def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_path: Path) -> None:
     words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "token")]
-    words += [f"--{name}={path}" for name, path in zip(("certificate", "key"), certificate(tmp_path), strict=True)]
+    words += [
+        f"--{name}={path}"
+        for name, path in zip(("certificate", "key"), certificate(tmp_path), strict=True)
+    ]
     with (
         Broker(tmp_path) as broker,
         dashboard(f"127.0.0.1:{broker.port}", *words) as printed,
@@ -125,7 +141,9 @@ def test_a_page_that_is_opened_to_a_network_wants_its_token_and_only_looks(tmp_p
         assert not page.find_element(By.ID, "profile").is_enabled()
         until_shown(page, sensor, lambda: bump(2, 0.0, 200, 300, step_px=4), 2)
         # In one go: the page disables it again with the next message.
-        page.execute_script("const it = document.getElementById('rezero'); it.disabled = false; it.click()")
+        page.execute_script(
+            "const it = document.getElementById('rezero'); it.disabled = false; it.click()"
+        )
         shows(page, "link", "read-only: this dashboard forwards no requests")
         shows(page, "link", "Connected")
         assert seen.messages == []

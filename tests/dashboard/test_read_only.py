@@ -32,14 +32,20 @@ PING, SUBSCRIBE = packet(12, b""), packet(8, b"\0\1\0\x08tacshade\0")
 
 
 def connect(
-    version: int = 5, flags: int = 2, properties: bytes = b"", client_id: bytes = b"page-1", name: bytes = b"MQTT"
+    version: int = 5,
+    flags: int = 2,
+    properties: bytes = b"",
+    client_id: bytes = b"page-1",
+    name: bytes = b"MQTT",
 ) -> bytes:
     body = len(name).to_bytes(2, "big") + name + bytes([version, flags, 0, 15])
     body += bytes([len(properties)]) + properties if version == 5 else b""
     return packet(1, body + len(client_id).to_bytes(2, "big") + client_id)
 
 
-def sent_by_paho(version: MQTTProtocolVersion, prepare: Callable[[Client], None], **connecting: object) -> bytes:
+def sent_by_paho(
+    version: MQTTProtocolVersion, prepare: Callable[[Client], None], **connecting: object
+) -> bytes:
     """The CONNECT of a client that others wrote."""
     received: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -73,7 +79,11 @@ def test_a_last_will_is_a_message_too_and_nothing_is_kept_for_a_page_that_is_gon
     properties.SessionExpiryInterval = 10
     for version in (V311, V5):
         with pytest.raises(DecodeError, match="last will"):
-            ReadOnly().passed(sent_by_paho(version, lambda client: client.will_set("tacshade/a/req/reference", b"{}")))
+            ReadOnly().passed(
+                sent_by_paho(
+                    version, lambda client: client.will_set("tacshade/a/req/reference", b"{}")
+                )
+            )
     with pytest.raises(DecodeError, match="persistent session"):
         ReadOnly().passed(connect(4, flags=0))
     with pytest.raises(DecodeError, match="properties"):
@@ -119,7 +129,10 @@ def test_however_it_is_cut_only_whole_packets_pass(data: st.DataObject) -> None:
     sent = connect() + SUBSCRIBE + packet(8, bytes(200)) + PING
     cuts = sorted(data.draw(st.lists(st.integers(0, len(sent)), max_size=20)))
     only = ReadOnly()
-    parts = [only.passed(sent[start:end]) for start, end in zip([0, *cuts], [*cuts, len(sent)], strict=True)]
+    parts = [
+        only.passed(sent[start:end])
+        for start, end in zip([0, *cuts], [*cuts, len(sent)], strict=True)
+    ]
     assert b"".join(parts) == sent
     ends = {len(connect()), len(connect() + SUBSCRIBE), len(sent) - 2, len(sent)}
     passed = 0

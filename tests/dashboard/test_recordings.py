@@ -32,7 +32,9 @@ def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     (tmp_path / "linked").symlink_to(tmp_path / "old")
     found = recordings.listed(tmp_path)
-    assert [tuple(r[key] for key in ("name", "frames", "size_bytes", "is_growing")) for r in found] == [
+    assert [
+        tuple(r[key] for key in ("name", "frames", "size_bytes", "is_growing")) for r in found
+    ] == [
         ("left-thumb/new", 1, 600, False),
         ("odd", None, None, False),
         ("old", 1, 600, False),
@@ -40,7 +42,9 @@ def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", ["folder", "mcap"])
-def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not(tmp_path: Path, kind: str) -> None:
+def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not(
+    tmp_path: Path, kind: str
+) -> None:
     path = tmp_path / "run"
     recorder = Recorder(path) if kind == "folder" else McapRecorder(path, "t")
     recorder.begin("", painted_calibration())
@@ -58,8 +62,30 @@ def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not
 @pytest.mark.parametrize(
     "name",
     [
-        *("", ".", "..", "../outside", "sensor/../../outside", "/etc", "//etc", "sensor//run", "run/", "/run"),
-        *("a/b/c", "..\\outside", "run\0", "run\n", ".hidden", "%2e%2e", "linked", "sensor/linked", "ｒｕｎ", "x" * 65),
+        *(
+            "",
+            ".",
+            "..",
+            "../outside",
+            "sensor/../../outside",
+            "/etc",
+            "//etc",
+            "sensor//run",
+            "run/",
+            "/run",
+        ),
+        *(
+            "a/b/c",
+            "..\\outside",
+            "run\0",
+            "run\n",
+            ".hidden",
+            "%2e%2e",
+            "linked",
+            "sensor/linked",
+            "ｒｕｎ",
+            "x" * 65,
+        ),
         *(None, 7, ["run"], {"name": "run"}),
     ],
 )
@@ -82,7 +108,11 @@ def test_the_tar_is_what_tar_reads_without_links(tmp_path: Path) -> None:
     (path / "secret").symlink_to("/etc/passwd")
     (path / "big.bin").write_bytes(bytes(range(256)) * 4096)
     os.mkfifo(path / "pipe")
-    for size in (*range(513), 1 << 18, 10240 - 512):  # of the last block, and of what is sent at once
+    for size in (
+        *range(513),
+        1 << 18,
+        10240 - 512,
+    ):  # of the last block, and of what is sent at once
         (path / f"size-{size}").write_bytes(bytes([size % 256]) * size)
     pieces: list[bytes] = []
     recordings.tar(path, pieces.append)
@@ -125,16 +155,27 @@ def test_deleting_follows_no_links(tmp_path: Path) -> None:
 
 
 def socket(port: int, **words: Any) -> connect:
-    return connect(f"ws://127.0.0.1:{port}/recordings", subprotocols=["tacshade-recordings"], compression=None, **words)
+    return connect(
+        f"ws://127.0.0.1:{port}/recordings",
+        subprotocols=["tacshade-recordings"],
+        compression=None,
+        **words,
+    )
 
 
-async def asked(port: int, command: object, **words: Any) -> tuple[dict[str, Any], bytes, list[str]]:
+async def asked(
+    port: int, command: object, **words: Any
+) -> tuple[dict[str, Any], bytes, list[str]]:
     """The first answer, all binary pieces, and what was said later."""
     async with socket(port, **words) as page:
         await page.send(command if isinstance(command, (str, bytes)) else json.dumps(command))
         first = json.loads(await page.recv())
         rest = [piece async for piece in page]
-    return first, b"".join(p for p in rest if isinstance(p, bytes)), [p for p in rest if isinstance(p, str)]
+    return (
+        first,
+        b"".join(p for p in rest if isinstance(p, bytes)),
+        [p for p in rest if isinstance(p, str)],
+    )
 
 
 async def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
@@ -148,7 +189,9 @@ async def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
         first, tar, _ = await asked(port, {"action": "download", "name": "run"})
         assert first == {"ok": True, "bytes": len(tar)}
         with tarfile.open(fileobj=io.BytesIO(tar)) as opened:
-            assert {Path(name).name for name in opened.getnames()} == {file.name for file in path.iterdir()}
+            assert {Path(name).name for name in opened.getnames()} == {
+                file.name for file in path.iterdir()
+            }
         assert (await asked(port, {"action": "delete", "name": "run"}))[0] == {"ok": True}
         assert not path.exists()
         assert (await asked(port, {"action": "list"}))[0]["recordings"] == []
@@ -158,7 +201,11 @@ async def test_a_list_a_download_and_a_deletion(tmp_path: Path) -> None:
     "command",
     [
         *("", "[]", b"\xff", "[" * 5000, {"action": ["list"]}),
-        *({"action": "delete"}, {"action": "delete", "name": "../run"}, {"action": "play", "name": "none"}),
+        *(
+            {"action": "delete"},
+            {"action": "delete", "name": "../run"},
+            {"action": "play", "name": "none"},
+        ),
     ],
 )
 async def test_nonsense_and_hostile_names_get_one_line(tmp_path: Path, command: object) -> None:
@@ -185,7 +232,9 @@ async def test_a_page_that_may_only_look_deletes_and_plays_nothing(tmp_path: Pat
         assert (await asked(port, {"action": "list"}))[0]["ok"]
 
 
-async def test_other_pages_strangers_and_a_server_without_a_folder_are_refused(tmp_path: Path) -> None:
+async def test_other_pages_strangers_and_a_server_without_a_folder_are_refused(
+    tmp_path: Path,
+) -> None:
     recorded(tmp_path, "run")
 
     async with running(recordings=tmp_path, token=TOKEN) as port:
@@ -209,7 +258,9 @@ async def test_one_recording_at_a_time_is_played_and_ends_with_the_page(
 ) -> None:
     recorded(tmp_path, "run")
     monkeypatch.setattr(recordings.sys, "executable", "/bin/cat")  # waits for nothing and complains
-    (tmp_path / "sleeper").write_text('#!/bin/sh\necho "$@" > "$0.words"\necho out of order >&2\nexec sleep 60\n')
+    (tmp_path / "sleeper").write_text(
+        '#!/bin/sh\necho "$@" > "$0.words"\necho out of order >&2\nexec sleep 60\n'
+    )
     (tmp_path / "sleeper").chmod(0o755)
 
     async with running(recordings=tmp_path) as port:

@@ -27,7 +27,11 @@ async def test_the_page_and_all_that_it_names_is_served() -> None:
         named += re.findall(r'"three": "\./([^"]+)"', index.decode())
         for script in STATIC.glob("*.js"):
             named += re.findall(r'from "\./([^"]+)"', script.read_text())
-        types = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8", "svg": "image/svg+xml"}
+        types = {
+            "js": "text/javascript; charset=utf-8",
+            "css": "text/css; charset=utf-8",
+            "svg": "image/svg+xml",
+        }
         assert len(set(named)) > 10
         for name in set(named):
             status, headers, body = await get(port, f"/{name}?v=1")
@@ -73,7 +77,9 @@ async def test_the_page_may_load_its_own_files_only() -> None:
             assert "unsafe" not in policy
             assert headers["x-content-type-options"] == "nosniff"
         # The one inline script is allowed by its hash, so the hash has to be that of the page as it is.
-        assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count('<script type="importmap">')
+        assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count(
+            '<script type="importmap">'
+        )
 
 
 @pytest.mark.parametrize("method", ["PUT", "POST", "get"])
@@ -111,15 +117,21 @@ async def test_so_many_connections_and_no_more(caplog: pytest.LogCaptureFixture)
             writer.close()
         while True:
             with contextlib.suppress(ConnectionError):
-                if (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[:12] == b"HTTP/1.1 200":
+                if (await answer(port, b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"))[
+                    :12
+                ] == b"HTTP/1.1 200":
                     break
             await asyncio.sleep(0.01)
     reported = caplog.records[0].getMessage()
-    assert reported == "rejected a connection (1 so far): 48 connections are already open, the limit"
+    assert (
+        reported == "rejected a connection (1 so far): 48 connections are already open, the limit"
+    )
 
 
 @pytest.mark.slow
-async def test_pings_that_are_never_read_do_not_fill_the_memory(caplog: pytest.LogCaptureFixture) -> None:
+async def test_pings_that_are_never_read_do_not_fill_the_memory(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     ping = b"\x89\xfd\0\0\0\0" + bytes(125)
 
     async with tcp(echo) as broker, running(broker) as port:
@@ -146,7 +158,9 @@ async def test_it_stops_with_open_connections() -> None:
         async with running(broker) as port:
             pages = [await websocket(port).__aenter__() for _ in range(3)]
             began = asyncio.get_running_loop().time()
-        assert asyncio.get_running_loop().time() - began < 5  # it is 0.01 s; a close time-out would be 10
+        assert (
+            asyncio.get_running_loop().time() - began < 5
+        )  # it is 0.01 s; a close time-out would be 10
         for page in pages:
             with pytest.raises(ConnectionClosed):
                 await page.recv()

@@ -54,10 +54,15 @@ def test_mosquitto_is_set_as_a_users_is(tmp_path: Path, monkeypatch: pytest.Monk
         assert line.startswith("#") or line in settings
 
 
-def test_without_any_broker_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_any_broker_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(DeviceError, match=r"expected mosquitto or the `demo` extra's broker: pip install '\.\[demo\]'"):
+    with pytest.raises(
+        DeviceError,
+        match=r"expected mosquitto or the `demo` extra's broker: pip install '\.\[demo\]'",
+    ):
         broker_command(tmp_path, 1883)
 
 
@@ -70,7 +75,9 @@ def gone(pid: int) -> bool:
 
 
 def test_a_child_that_ends_is_reported_with_its_last_line(tmp_path: Path) -> None:
-    child = Child("broker", ["sh", "-c", "echo first; echo; echo no room >&2; echo; exit 3"], tmp_path)
+    child = Child(
+        "broker", ["sh", "-c", "echo first; echo; echo no room >&2; echo; exit 3"], tmp_path
+    )
     with pytest.raises(DeviceError, match=r"^demo: the broker exited with status 3: no room$"):
         wait_for_port(child, free_port(), 20)
     child.stop()
@@ -79,7 +86,9 @@ def test_a_child_that_ends_is_reported_with_its_last_line(tmp_path: Path) -> Non
 
 def test_a_child_that_does_not_listen_is_reported(tmp_path: Path) -> None:
     child, port = Child("daemon", ["sleep", "60"], tmp_path), free_port()
-    with pytest.raises(DeviceError, match=rf"^demo: the daemon did not listen on port {port} within 0 s$"):
+    with pytest.raises(
+        DeviceError, match=rf"^demo: the daemon did not listen on port {port} within 0 s$"
+    ):
         wait_for_port(child, port, 0.0)
     child.stop()
     with pytest.raises(DeviceError, match="exited with status -15: no output"):
@@ -97,7 +106,9 @@ while not child.output.strip():
 print(child.output, flush=True)
 input()
 """
-    parent = subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     assert parent.stdout is not None
     pid = int(parent.stdout.readline())
     assert not gone(pid)

@@ -21,7 +21,10 @@ ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/client.md").read_text()
 LISTEN = (ROOT / "docs/how-to/listen.md").read_text()
 HEIGHT = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 
 
 def code_of(text: str) -> str:
@@ -30,7 +33,9 @@ def code_of(text: str) -> str:
 
 
 def test_its_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    info = messages.encode_info(version="1", config_digest="0", profile="fast", calibration=calibration())
+    info = messages.encode_info(
+        version="1", config_digest="0", profile="fast", calibration=calibration()
+    )
     ended = threading.Event()
     with Broker(tmp_path) as broker, Subscriber(broker.port, "none") as sender:
 
@@ -59,9 +64,20 @@ def test_every_name_is_public() -> None:
 def test_the_listener_prints_each_height_map(tmp_path: Path) -> None:
     (tmp_path / "listen.py").write_text(code_of(LISTEN))
     printed = tmp_path / "printed"
-    with Broker(tmp_path) as broker, Subscriber(broker.port, "none") as publisher, printed.open("w") as out:
-        command = [sys.executable, str(tmp_path / "listen.py"), f"127.0.0.1:{broker.port}", "left-index"]
-        listener = subprocess.Popen(command, stdout=out, env=os.environ | {"PYTHONPATH": str(ROOT / "client")})
+    with (
+        Broker(tmp_path) as broker,
+        Subscriber(broker.port, "none") as publisher,
+        printed.open("w") as out,
+    ):
+        command = [
+            sys.executable,
+            str(tmp_path / "listen.py"),
+            f"127.0.0.1:{broker.port}",
+            "left-index",
+        ]
+        listener = subprocess.Popen(
+            command, stdout=out, env=os.environ | {"PYTHONPATH": str(ROOT / "client")}
+        )
 
         def has_printed() -> bool:
             assert listener.poll() is None, "the listener ended"

@@ -24,7 +24,9 @@ from tools.testbed.patience import patience
 TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
 README = (Path(__file__).parents[2] / "README.md").read_text()
 REPLAY = (Path(__file__).parents[2] / "docs/how-to/replay.md").read_text()
-EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE))
+EXAMPLES = dict(
+    re.findall(r"^## ([^\n]+)\n[^#]*?```python\n(.*?)```", TEXT, re.DOTALL | re.MULTILINE)
+)
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +42,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in (folder / "press.png", recording / "1.png"):
         cv2.imwrite(str(path), pressed("cube", 2.0, FULL).image)
     cv2.imwrite(str(recording / "0.png"), unloaded(FULL))
-    (folder / "config.yaml").write_text("calibration: cal.npz\nsource: {kind: simulated}\nsensor_id: left-index\n")
+    (folder / "config.yaml").write_text(
+        "calibration: cal.npz\nsource: {kind: simulated}\nsensor_id: left-index\n"
+    )
     return folder
 
 
@@ -49,7 +53,9 @@ def run(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str)
     return executed(EXAMPLES[title], title, folder, monkeypatch, **other)
 
 
-def executed(code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str) -> dict[str, Any]:
+def executed(
+    code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatch, **other: str
+) -> dict[str, Any]:
     for written, here in other.items():
         assert code.count(written) == 1
         code = code.replace(written, here)
@@ -60,7 +66,9 @@ def executed(code: str, title: str, folder: Path, monkeypatch: pytest.MonkeyPatc
     return names
 
 
-def test_an_image(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_image(
+    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     run("An image to a picture", made, monkeypatch)
     assert re.fullmatch(r"1 object\(s\), deepest [12]\.\d\d mm\n", capsys.readouterr().out)
     drawn = cv2.imread(str(made / "press_height.png"))
@@ -80,7 +88,9 @@ def test_a_recording(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert depth_mm[1] > 1
 
 
-def test_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     for recording in record_hand(tmp_path):
         recording.rename(tmp_path / "grasp")
         (finger := tmp_path / "rec" / recording.name).mkdir(parents=True)
@@ -91,13 +101,17 @@ def test_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert all(re.fullmatch(r"\d+ \(.*\) \(.*\)", line) for line in printed)
 
 
-def test_messages_and_files(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_messages_and_files(
+    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["replay", str(made / "recording"), "--out", str(made / "RUN")]) == 0
     capsys.readouterr()
     run("Messages and files, decoded", made, monkeypatch)
     rows, cols = ts.load(made / "cal.npz").reconstruct(made / "press.png").height_mm.shape
     printed = capsys.readouterr().out.splitlines()
-    assert [line.split(maxsplit=2)[::2] for line in printed] == [[str(k), f"({rows}, {cols})"] for k in (0, 1)]
+    assert [line.split(maxsplit=2)[::2] for line in printed] == [
+        [str(k), f"({rows}, {cols})"] for k in (0, 1)
+    ]
     (code,) = re.findall(r"```python\n(.*?)```", REPLAY, re.DOTALL)
     executed(code, "replay.md", made, monkeypatch)
     said = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
@@ -119,7 +133,13 @@ def test_the_formula_from_a_cell_to_millimetres(made: Path) -> None:
 
 def test_the_marked_keys_are_those_that_the_command_writes(made: Path, tmp_path: Path) -> None:
     rows = re.findall(r"^\| ([^|]*•[^|]*)\|", TEXT, re.MULTILINE)
-    words = ["--calibration", str(made / "cal.npz"), "--out", str(tmp_path), str(made / "press.png")]
+    words = [
+        "--calibration",
+        str(made / "cal.npz"),
+        "--out",
+        str(tmp_path),
+        str(made / "press.png"),
+    ]
     assert main(["reconstruct", *words]) == 0
     with np.load(tmp_path / "press.npz") as written:
         assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(written.files)
@@ -138,7 +158,10 @@ def first_line_of_the_readme(address: str) -> tuple[Any, ...]:
         raise PrintedError(*values)
 
     with pytest.raises(PrintedError) as printed:
-        exec(code.replace('"localhost:1883", "tacshade"', f'"{address}", "left-index"'), {"print": shown})
+        exec(
+            code.replace('"localhost:1883", "tacshade"', f'"{address}", "left-index"'),
+            {"print": shown},
+        )
     return printed.value.args
 
 
@@ -147,8 +170,12 @@ def first_line_of_the_readme(address: str) -> tuple[Any, ...]:
 def test_a_running_sensor(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Broker(tmp_path) as broker:
         settings = made / "run.yaml"
-        settings.write_text((made / "config.yaml").read_text() + f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n")
-        daemon = subprocess.Popen([sys.executable, "-m", "tacshade_edge", "run", "--config", str(settings)])
+        settings.write_text(
+            (made / "config.yaml").read_text() + f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+        )
+        daemon = subprocess.Popen(
+            [sys.executable, "-m", "tacshade_edge", "run", "--config", str(settings)]
+        )
         try:
             address = {"localhost:1883": f"127.0.0.1:{broker.port}"}
             with Subscriber(broker.port) as seen:

@@ -17,7 +17,9 @@ from tools.testbed.patience import patience, wait_until
 
 pytestmark = pytest.mark.slow  # a calibration set is drawn, and calibrated
 PAGE = Path(__file__).parents[2] / "docs/how-to/mistakes.md"
-ROWS = re.findall(r"^\| ([^|`]+) \| `([^`|]+)` \| `([^|]+)` \| ([^|]+) \|$", PAGE.read_text(), re.MULTILINE)
+ROWS = re.findall(
+    r"^\| ([^|`]+) \| `([^`|]+)` \| `([^|]+)` \| ([^|]+) \|$", PAGE.read_text(), re.MULTILINE
+)
 GOES_ON = "goes on"
 
 
@@ -50,7 +52,9 @@ def is_said(text: str, line: str) -> bool:
 
 def test_there_are_twelve() -> None:
     assert len(ROWS) == 12
-    assert len([line for line in PAGE.read_text().splitlines() if line.startswith("| ")]) == 13, "and a head"
+    assert len([line for line in PAGE.read_text().splitlines() if line.startswith("| ")]) == 13, (
+        "and a head"
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,7 +71,11 @@ def test_a_mistake_gets_its_line(
 ) -> None:
     monkeypatch.chdir(folder)
     _, *words = shlex.split(command)
-    words = [name for word in words for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
+    words = [
+        name
+        for word in words
+        for name in (sorted(map(str, Path().glob(word))) if "*" in word else [word])
+    ]
     try:
         ended = main(words)
     except SystemExit as usage:
@@ -78,9 +86,13 @@ def test_a_mistake_gets_its_line(
 
 
 @pytest.mark.parametrize(("command", "line"), [row[1:3] for row in ROWS if row[3] == GOES_ON])
-def test_a_mistake_that_the_daemon_waits_out_gets_its_line(folder: Path, command: str, line: str) -> None:
+def test_a_mistake_that_the_daemon_waits_out_gets_its_line(
+    folder: Path, command: str, line: str
+) -> None:
     port, log = free_port(), folder / "log"
-    (folder / "config.yaml").write_text(f"source: {{kind: simulated}}\ncalibration: c.npz\nmqtt: {{port: {port}}}\n")
+    (folder / "config.yaml").write_text(
+        f"source: {{kind: simulated}}\ncalibration: c.npz\nmqtt: {{port: {port}}}\n"
+    )
 
     def said() -> str:
         return log.read_text().replace(f":{port}", ":1883")
@@ -88,7 +100,9 @@ def test_a_mistake_that_the_daemon_waits_out_gets_its_line(folder: Path, command
     _, *words = shlex.split(command)
     with (
         log.open("wb") as file,
-        subprocess.Popen([sys.executable, "-m", "tacshade_edge", *words], stderr=file, cwd=folder) as child,
+        subprocess.Popen(
+            [sys.executable, "-m", "tacshade_edge", *words], stderr=file, cwd=folder
+        ) as child,
     ):
         try:
             wait_until(lambda: is_said(said(), line), 20, "it says so")

@@ -41,7 +41,9 @@ for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n"
 
 
 def code(language: str, page: str = "frames") -> str:
-    (found,) = re.findall(rf"```{language}\n(.*?)```", (PAGES / f"{page}.md").read_text(), re.DOTALL)
+    (found,) = re.findall(
+        rf"```{language}\n(.*?)```", (PAGES / f"{page}.md").read_text(), re.DOTALL
+    )
     return str(found)
 
 
@@ -52,7 +54,9 @@ def decoded(name: str, payloads: list[bytes]) -> list[Any]:
     assert name in re.findall(r"\w+", exported)
     command = [NODE, "-e", script + HARNESS.replace("NAME", name)]
     lines = "".join(f"x{payload.hex()}\n" for payload in payloads)
-    done = subprocess.run(command, input=lines, capture_output=True, text=True, timeout=patience(60), check=True)
+    done = subprocess.run(
+        command, input=lines, capture_output=True, text=True, timeout=patience(60), check=True
+    )
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
@@ -79,9 +83,14 @@ def test_the_decoder_understands_every_sound_vector_and_refuses_the_damaged() ->
         if expect["kind"] in ("height", "shear", "sigma"):
             name = f"{expect['kind']}_mm"
             np.testing.assert_allclose(values(answer[name]), values(expect[name]), rtol=1e-6)
-            assert [answer[k] for k in ("row0", "col0", "step_px")] == [expect[k] for k in ("row0", "col0", "step_px")]
+            assert [answer[k] for k in ("row0", "col0", "step_px")] == [
+                expect[k] for k in ("row0", "col0", "step_px")
+            ]
         else:
-            assert (answer["points_mm"], answer["labels"]) == (expect["points_mm"], expect["labels"])
+            assert (answer["points_mm"], answer["labels"]) == (
+                expect["points_mm"],
+                expect["labels"],
+            )
     answers = decoded("decode", [bytes.fromhex(v["hex"]) for v in damaged])
     assert len(answers) == len(damaged) >= 10
     assert [v["name"] for v, a in zip(damaged, answers, strict=True) if "error" not in a] == []
@@ -91,12 +100,18 @@ def test_the_decoder_understands_every_sound_vector_and_refuses_the_damaged() ->
 @needs_node
 def test_the_decoder_of_a_hand_understands_and_refuses_every_vector() -> None:
     answers = decoded("decodeHand", [v["payload"].encode() for v in HAND_VECTORS])
-    assert [v["name"] for v, a in zip(HAND_VECTORS, answers, strict=True) if ("error" in a) != ("error" in v)] == []
+    assert [
+        v["name"]
+        for v, a in zip(HAND_VECTORS, answers, strict=True)
+        if ("error" in a) != ("error" in v)
+    ] == []
     for vector, answer in zip(HAND_VECTORS, answers, strict=True):
         if "expect" in vector:
             expect, fingers = vector["expect"], answer["fingers"]
             assert {name: finger["state"] for name, finger in fingers.items()} == expect["states"]
-            assert [o["centroid_mm"] for f in fingers.values() for o in f["objects"]] == expect["centroids_mm"]
+            assert [o["centroid_mm"] for f in fingers.values() for o in f["objects"]] == expect[
+                "centroids_mm"
+            ]
             assert [finger["age_ms"] for finger in fingers.values()] == expect["ages_ms"]
 
 
@@ -109,7 +124,10 @@ def test_what_is_reported_of_a_map_is_what_the_text_shows() -> None:
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
     cloud = wire.decode(reported["map/cloud"])
     assert isinstance(cloud, wire.CloudMessage)
-    assert (cloud.points_mm.ravel().tolist(), cloud.labels.tolist()) == (vector["points_mm"], vector["labels"])
+    assert (cloud.points_mm.ravel().tolist(), cloud.labels.tolist()) == (
+        vector["points_mm"],
+        vector["labels"],
+    )
     assert (cloud.seq, cloud.contact) == (vector["seq"], vector["contact"])
 
 
@@ -131,7 +149,16 @@ def test_every_reason_has_its_row() -> None:
 
 def test_header_table_is_without_a_gap() -> None:
     """Every byte of the header is in the table once; N and the size share theirs."""
-    sizes = {"4 bytes": 4, "u8": 1, "u32": 4, "u64": 8, "u16, u16": 4, "f32": 4, "3 × f32": 12, "7 × f32": 28}
+    sizes = {
+        "4 bytes": 4,
+        "u8": 1,
+        "u32": 4,
+        "u64": 8,
+        "u16, u16": 4,
+        "f32": 4,
+        "3 × f32": 12,
+        "7 × f32": 28,
+    }
     rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", (PAGES / "frames.md").read_text(), re.MULTILINE)
     position = 0
     for offset, kind in rows:

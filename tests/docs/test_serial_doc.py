@@ -79,7 +79,11 @@ def test_what_is_typed_by_hand_is_answered_so() -> None:
 def test_every_verb_and_every_counter_has_its_row() -> None:
     verbs = re.findall(r"^\| `([A-Z]+)[^|]*` \|", TEXT.replace("\\|", "/"), re.MULTILINE)
     assert set(verbs) >= set(USAGE)
-    for name in (*(each.name for each in fields(LinkCounts)), *TouchEvents(0, lambda: None).as_dict(), *QUANTITIES):
+    for name in (
+        *(each.name for each in fields(LinkCounts)),
+        *TouchEvents(0, lambda: None).as_dict(),
+        *QUANTITIES,
+    ):
         assert re.search(rf"[` \n]{name}[` \n]", TEXT), name
 
 
@@ -101,13 +105,20 @@ def test_the_microcontrollers_code_makes_the_vectors(tmp_path: Path) -> None:
         asked.append(f"open {vector['raw']}")
         expected.append(f"0 {vector['raw']}")
     for vector in VECTORS["poses"]:
-        asked.append(f"pose {vector['seq']} {vector['t_ns']} {' '.join(map(str, vector['values']))}")
+        asked.append(
+            f"pose {vector['seq']} {vector['t_ns']} {' '.join(map(str, vector['values']))}"
+        )
         expected.append(vector["frame"])
     for vector in (*VECTORS["line_frames"], *VECTORS["touches"]):
         asked.append(f"line {vector['line']}")
         expected.append(vector["frame"])
     done = subprocess.run(
-        [program], input="\n".join(asked) + "\n", capture_output=True, text=True, check=True, timeout=60
+        [program],
+        input="\n".join(asked) + "\n",
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
     )
     assert done.stdout.splitlines() == expected
 
@@ -144,7 +155,9 @@ class Wire:
 def test_the_hosts_code_talks_to_the_daemon() -> None:
     wire = Wire()
     state = {"source": "streaming", "health": {"delivered_fps": 30.0}}
-    robot = Robot(SerialPort(wire.name, 115200), lambda *_: None, lambda: state, lambda _: None, lambda: None)
+    robot = Robot(
+        SerialPort(wire.name, 115200), lambda *_: None, lambda: state, lambda _: None, lambda: None
+    )
     robot.start()
     try:
         host = Daemon(wire, "a1")

@@ -25,7 +25,9 @@ JOBS: dict[str, Any] = RELEASE["jobs"]
 
 def test_the_public_ci_runs_the_pythons_that_are_supported() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    supported = [int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(project["classifiers"]))]
+    supported = [
+        int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(project["classifiers"]))
+    ]
     assert project["requires-python"] == f">=3.{min(supported)},<3.{max(supported) + 1}"
     workflow = (ROOT / ".github/workflows/check.yml").read_text(encoding="utf-8")
     assert f'python: ["3.{min(supported)}", "3.{max(supported)}"]' in workflow
@@ -33,7 +35,9 @@ def test_the_public_ci_runs_the_pythons_that_are_supported() -> None:
 
 
 def test_only_a_versions_tag_publishes_and_each_job_has_its_right_alone() -> None:
-    assert RELEASE[True] == {"push": {"tags": ["v[0-9]+.[0-9]+.[0-9]+"]}}  # YAML 1.1 reads `on` as true
+    assert RELEASE[True] == {
+        "push": {"tags": ["v[0-9]+.[0-9]+.[0-9]+"]}
+    }  # YAML 1.1 reads `on` as true
     assert RELEASE["permissions"] == {"contents": "read"}
     assert {name: job.get("permissions", {}) for name, job in JOBS.items()} == {
         "distributions": {},

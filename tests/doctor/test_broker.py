@@ -27,7 +27,13 @@ def on_mosquitto(test: Any) -> Any:
 
 
 def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
-    asked: Any = {"host": "127.0.0.1", "port": port, "username": None, "password": None, "tls_ca": None} | options
+    asked: Any = {
+        "host": "127.0.0.1",
+        "port": port,
+        "username": None,
+        "password": None,
+        "tls_ca": None,
+    } | options
     findings, daemon = check_broker(asked, "left")
     assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
     return {finding.check: finding for finding in findings}, daemon
@@ -54,14 +60,20 @@ def test_nothing_listens() -> None:
     finding = trouble(port)
     assert finding.found == f"127.0.0.1:{port}: connection refused: nothing is listening"
     assert "sudo systemctl enable --now mosquitto" in finding.fix
-    assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, "another machine's broker is started there"
-    assert trouble(1883, host="no-such-broker.invalid").fix.endswith("getent hosts no-such-broker.invalid")
+    assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, (
+        "another machine's broker is started there"
+    )
+    assert trouble(1883, host="no-such-broker.invalid").fix.endswith(
+        "getent hosts no-such-broker.invalid"
+    )
 
 
 @broker_test  # for its seconds of waiting
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
-    assert finding.found.endswith("accepts connections but does not answer, so it is not an MQTT broker")
+    assert finding.found.endswith(
+        "accepts connections but does not answer, so it is not an MQTT broker"
+    )
 
 
 @on_mosquitto
@@ -69,10 +81,16 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         findings, daemon = ask(broker.port)
         assert findings["broker"].state == "ok"
-        assert findings["broker round trip"].found.startswith("a 38 KB message made the round trip in ")
+        assert findings["broker round trip"].found.startswith(
+            "a 38 KB message made the round trip in "
+        )
         assert daemon == DaemonState()
-        wait_until(lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself")
-    assert {(message.topic, message.retain) for message in seen.messages} == {(f"{BASE}/doctor", False)}
+        wait_until(
+            lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself"
+        )
+    assert {(message.topic, message.retain) for message in seen.messages} == {
+        (f"{BASE}/doctor", False)
+    }
 
 
 @on_mosquitto
@@ -90,7 +108,11 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
         other.wait_for(f"{BASE}/health", 2)
         assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 0.0)
         for name, process in (("instance", 7), ("status/rival", 8)):
-            other.publish(f"{BASE}/{name}", json.dumps({"host": "bench", "process": process}).encode(), retain=True)
+            other.publish(
+                f"{BASE}/{name}",
+                json.dumps({"host": "bench", "process": process}).encode(),
+                retain=True,
+            )
             other.wait_for(f"{BASE}/{name}")
         daemon = ask(broker.port)[1]
         assert (daemon.place, daemon.rival) == ("on bench, process 7", "on bench, process 8")
@@ -109,13 +131,17 @@ SHIPPED = (Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_te
         ("topic write tacshade/#\n", None, "fault", "topic readwrite"),  # it must not be read
     ],
 )
-def test_access_rules(tmp_path: Path, rules: str, username: str | None, state: str, fix: str) -> None:
+def test_access_rules(
+    tmp_path: Path, rules: str, username: str | None, state: str, fix: str
+) -> None:
     file = tmp_path / "acl"
     file.touch(0o600)
     file.write_text(rules)
     users = {"hand": "right"} if username else {}
     with Broker(tmp_path, users=users or None, more=(f"acl_file {file}",)) as broker:
-        trip = ask(broker.port, username=username, password=users.get("hand"))[0]["broker round trip"]
+        trip = ask(broker.port, username=username, password=users.get("hand"))[0][
+            "broker round trip"
+        ]
     assert trip.state == state
     assert fix in trip.fix
 
@@ -131,7 +157,10 @@ def test_users(tmp_path: Path) -> None:
 @on_mosquitto
 @pytest.mark.parametrize(
     ("option", "found"),
-    [("max_packet_size 20000", "at most 20000 bytes"), ("message_size_limit 10000", "a message of 38000 bytes")],
+    [
+        ("max_packet_size 20000", "at most 20000 bytes"),
+        ("message_size_limit 10000", "a message of 38000 bytes"),
+    ],
 )
 def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, found: str) -> None:
     with Broker(tmp_path, more=(option,)) as broker:
@@ -161,7 +190,9 @@ def test_tls(tmp_path: Path) -> None:
         assert "is 127.1 a name in it (subjectAltName)" in named.fix
         assert "set mqtt.ca_file" in trouble(broker.port).fix
     with Broker(tmp_path / "theirs") as broker:
-        assert "omit mqtt.ca_file" in trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem")).fix
+        assert (
+            "omit mqtt.ca_file" in trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem")).fix
+        )
 
 
 @pytest.mark.parametrize(
@@ -169,9 +200,24 @@ def test_tls(tmp_path: Path) -> None:
     [
         (DaemonState(), False, "ok", "not running"),
         (DaemonState("stopped"), False, "ok", "not running"),
-        (DaemonState("online", fps=29.9), True, "ok", "process 5 (tacshade-edge run): online, 29.9 frames/s"),
-        (DaemonState("degraded", "no device", 0.0), True, "warning", "degraded, 0.0 frames/s, no device"),
-        (DaemonState("online"), False, "warning", "no daemon is running here, yet left is online on this broker"),
+        (
+            DaemonState("online", fps=29.9),
+            True,
+            "ok",
+            "process 5 (tacshade-edge run): online, 29.9 frames/s",
+        ),
+        (
+            DaemonState("degraded", "no device", 0.0),
+            True,
+            "warning",
+            "degraded, 0.0 frames/s, no device",
+        ),
+        (
+            DaemonState("online"),
+            False,
+            "warning",
+            "no daemon is running here, yet left is online on this broker",
+        ),
         (
             DaemonState("online", place="on a", rival="on b"),
             True,
@@ -182,14 +228,18 @@ def test_tls(tmp_path: Path) -> None:
     ],
 )
 def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) -> None:
-    finding = judge_daemon(daemon, Process(5, ("tacshade-edge", "run")) if running else None, "left")
+    finding = judge_daemon(
+        daemon, Process(5, ("tacshade-edge", "run")) if running else None, "left"
+    )
     assert finding.state == state
     assert found in finding.found
     assert bool(finding.fix) == (state != "ok")
 
 
 def test_a_slow_round_trip() -> None:
-    assert judge_round_trip(1.2) == ok("broker round trip", "a 38 KB message made the round trip in 1.2 ms")
+    assert judge_round_trip(1.2) == ok(
+        "broker round trip", "a 38 KB message made the round trip in 1.2 ms"
+    )
     slow = judge_round_trip(41)
     assert slow.state == "warning"
     assert slow.fix.startswith("add `set_tcp_nodelay true`")

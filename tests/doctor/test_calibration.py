@@ -49,13 +49,25 @@ CASES: dict[str, tuple[Callable[[], Sequence[U8]], str, str]] = {
     "as calibrated": (free, "ok", ""),
     "aged": (lambda: [camera_faults.gain(image, 0.7) for image in free()], "warning", "--rezero"),
     "pressed": (lambda: [pressed("ball", 3.0).image], "warning", "nothing is touching the skin"),
-    "shaking": (lambda: [np.roll(image, k % 2, axis=1) for k, image in enumerate(free(6))], "warning", "shaking"),
+    "shaking": (
+        lambda: [np.roll(image, k % 2, axis=1) for k, image in enumerate(free(6))],
+        "warning",
+        "shaking",
+    ),
     "glare": (lambda: [glaring()], "warning", "shade it"),
     "torn": (lambda: [torn()], "fault", "cable"),
-    "moved": (lambda: [np.roll(image, 4, axis=1) for image in free()], "fault", "fasten the camera"),
+    "moved": (
+        lambda: [np.roll(image, 4, axis=1) for image in free()],
+        "fault",
+        "fasten the camera",
+    ),
     "black": (lambda: [np.zeros((ROWS, COLS), np.uint8)], "fault", "switch the sensor's light on"),
     "size": (lambda: [np.zeros((480, 640), np.uint8)], "fault", "set source.width_px"),
-    "saturated": (lambda: [np.full((ROWS, COLS), 255, np.uint8)], "fault", "dim the sensor's light"),
+    "saturated": (
+        lambda: [np.full((ROWS, COLS), 255, np.uint8)],
+        "fault",
+        "dim the sensor's light",
+    ),
     "dark": (lambda: [(unloaded() * 0.35).astype(np.uint8)], "fault", "restore the light"),
 }
 
@@ -63,7 +75,10 @@ CASES: dict[str, tuple[Callable[[], Sequence[U8]], str, str]] = {
 @pytest.mark.parametrize("name", CASES)
 def test_images(name: str) -> None:
     images, state, fix = CASES[name]
-    found = {finding.check: finding for finding in checked(check_images(calibrated(HALF), images(), True))}
+    found = {
+        finding.check: finding
+        for finding in checked(check_images(calibrated(HALF), images(), True))
+    }
     assert found["sensor"].state == state
     assert fix in found["sensor"].fix
 

@@ -35,7 +35,9 @@ LOCKED = {
     **{"exposure": "locked at 157", "exposure_lock": "locked"},
     **{"white_balance": "locked", "white_balance_lock": "locked"},
 }
-STALLED = Reason(ReasonCode.STALLED, "camera /dev/video0: no frame within 2.0 s: the camera has stalled")
+STALLED = Reason(
+    ReasonCode.STALLED, "camera /dev/video0: no frame within 2.0 s: the camera has stalled"
+)
 
 
 def frames(fps: float = 30, **changes: Any) -> Captured:
@@ -57,7 +59,10 @@ def frames(fps: float = 30, **changes: Any) -> Captured:
         (frames(arrived_ns=(4_000_000_000,) * 30), ["camera time"]),
         (frames(described=LOCKED | {"focus_lock": "locked", "gain_lock": "no_control"}), []),
         (frames(described=LOCKED | {"focus_lock": "automatic"}), ["camera control"]),
-        (frames(described=LOCKED | {"exposure": "157", "exposure_lock": "automatic"}), ["camera control"]),
+        (
+            frames(described=LOCKED | {"exposure": "157", "exposure_lock": "automatic"}),
+            ["camera control"],
+        ),
         (frames(images=(BLACK,)), ["picture"]),
         (Captured(error=STALLED), ["camera frames"]),
     ],
@@ -86,7 +91,10 @@ def test_a_picture_that_shows_nothing(image: Any, fix: str) -> None:
     [
         (frames(), ["ok", "ok"]),
         (frames(fps=5), ["warning", "ok"]),
-        (frames(images=(FREE,), t_ns=(1,), arrived_ns=(2,), described={"path": "a.png"}), ["ok", "ok"]),
+        (
+            frames(images=(FREE,), t_ns=(1,), arrived_ns=(2,), described={"path": "a.png"}),
+            ["ok", "ok"],
+        ),
         (Captured(error=Reason(ReasonCode.CONFIG, "x: found nothing")), ["fault"]),
         (Captured(), ["fault"]),
     ],
@@ -147,7 +155,9 @@ def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert name in list_cameras(machine).found
     assert states(check_csi(Rpicam())) == ["ok"]
     assert states(check_csi(Rpicam(camera=1))) == ["fault"]
-    held = Captured(error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera"))
+    held = Captured(
+        error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera")
+    )
     assert states(check_frames(Rpicam(), held, machine, "streaming")) == ["warning"]
     assert states(check_frames(Rpicam(), held, machine, "")) == ["fault"]
 

@@ -43,7 +43,17 @@ def by_check(config: Path, machine: Any) -> dict[str, Finding]:
 
 def test_every_subject_is_checked_whatever_another_says(config: Path, machine: Any) -> None:
     found = by_check(config, machine)
-    assert {"settings", "broker", "serial", "disk", "clock", "source", "picture", "calibration", "sensor"} <= set(found)
+    assert {
+        "settings",
+        "broker",
+        "serial",
+        "disk",
+        "clock",
+        "source",
+        "picture",
+        "calibration",
+        "sensor",
+    } <= set(found)
     assert found["settings"].state == "ok"
     assert found["broker"].state == "fault"
     assert "daemon" not in found, "nobody to ask"
@@ -80,12 +90,26 @@ def test_without_the_camera_the_calibration_is_read_and_a_check_that_breaks_is_o
     [
         ("sensor_id: left\n", "ok", ", sensor left", True, True),
         ("sensor: a\n", "fault", ":1: sensor: ", False, False),
-        ("source: {kind: simulated}\nmqtt: {ca_file: no.pem}\n", "fault", ":2: mqtt.ca_file: ", True, False),
-        ("mqtt: {username: a, password_file: none}\n", "fault", ":1: mqtt.password_file: ", True, False),
+        (
+            "source: {kind: simulated}\nmqtt: {ca_file: no.pem}\n",
+            "fault",
+            ":2: mqtt.ca_file: ",
+            True,
+            False,
+        ),
+        (
+            "mqtt: {username: a, password_file: none}\n",
+            "fault",
+            ":1: mqtt.password_file: ",
+            True,
+            False,
+        ),
         (None, "fault", "", False, False),
     ],
 )
-def test_settings(tmp_path: Path, text: str | None, state: str, place: str, usable: bool, broker: bool) -> None:
+def test_settings(
+    tmp_path: Path, text: str | None, state: str, place: str, usable: bool, broker: bool
+) -> None:
     config = tmp_path / "s.yaml"
     if text is not None:
         config.write_text(text)
@@ -101,7 +125,9 @@ def test_a_check_that_hangs_is_left_behind_and_one_that_breaks_is_reported() -> 
     began_s = time.monotonic()
     hung = start(lambda: (ok("hung", str(release.wait(60))),))
     quick, broken = start(lambda: (ok("quick", ""),)), start(lambda: (ok("broken", str(1 // 0)),))
-    assert wait_for(hung, "hung", "wait", began_s + 0.05) == (fault("hung", "no answer in time", "wait"),)
+    assert wait_for(hung, "hung", "wait", began_s + 0.05) == (
+        fault("hung", "no answer in time", "wait"),
+    )
     assert wait_for(quick, "quick", "", time.monotonic() + 10)[0].state == "ok"
     assert "ZeroDivisionError" in wait_for(broken, "broken", "", time.monotonic() + 10)[0].found
     assert time.monotonic() - began_s < patience(10)
@@ -109,7 +135,10 @@ def test_a_check_that_hangs_is_left_behind_and_one_that_breaks_is_reported() -> 
 
 
 SEEN = Captured(images=(FREE,))
-FINDINGS = (ok("clock", "right"), fault("broker", "refuses the user bob or the password", "in /home/bob/pw"))
+FINDINGS = (
+    ok("clock", "right"),
+    fault("broker", "refuses the user bob or the password", "in /home/bob/pw"),
+)
 
 
 @pytest.fixture
@@ -138,7 +167,10 @@ def test_all_that_helps_is_in_it_and_nothing_secret(document: Document, tmp_path
         assert secret not in everything
     assert b"host: hand.example" in files["settings.yaml"]
     assert b"username: (left out)" in files["settings.yaml"]
-    assert json.loads(files["findings.json"])[1]["found"] == "refuses the user (left out) or the password"
+    assert (
+        json.loads(files["findings.json"])[1]["found"]
+        == "refuses the user (left out) or the password"
+    )
     assert json.loads(files["published.json"])["state"] == "online"
     assert json.loads(files["versions.json"])["packages"]["numpy"]
     facts = json.loads(files["calibration.json"])
@@ -147,7 +179,9 @@ def test_all_that_helps_is_in_it_and_nothing_secret(document: Document, tmp_path
 
 def test_a_frame_only_where_it_was_asked_for(document: Document, tmp_path: Path) -> None:
     write_bundle(tmp_path / "b.zip", FINDINGS, Seen(document, captured=SEEN), with_frame=True)
-    image = cv2.imdecode(np.frombuffer(read(tmp_path / "b.zip")["frame.png"], np.uint8), cv2.IMREAD_UNCHANGED)
+    image = cv2.imdecode(
+        np.frombuffer(read(tmp_path / "b.zip")["frame.png"], np.uint8), cv2.IMREAD_UNCHANGED
+    )
     np.testing.assert_array_equal(image, FREE)
     (tmp_path / "c.npz").unlink()
     write_bundle(tmp_path / "b.zip", FINDINGS, Seen(document), with_frame=True)

@@ -47,7 +47,9 @@ def test_who_holds_a_device_by_any_of_its_names(machine: Any) -> None:
         (("",), False),
     ],
 )
-def test_the_daemon_is_distinguished_from_other_commands(machine: Any, words: tuple[str, ...], found: bool) -> None:
+def test_the_daemon_is_distinguished_from_other_commands(
+    machine: Any, words: tuple[str, ...], found: bool
+) -> None:
     machine.process(7, *words)
     daemon = machine.daemon()
     assert (daemon is not None and daemon.pid == 7) is found
@@ -63,7 +65,9 @@ def test_the_fix_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
             == f"sudo usermod -aG dialout {getpass.getuser()}, then log out and in again"
         )
         os.chown(device, 0, 54321)
-        assert "usermod -aG video " in permission_fix(device, "video"), "a group without a name: the usual one"
+        assert "usermod -aG video " in permission_fix(device, "video"), (
+            "a group without a name: the usual one"
+        )
         os.chown(device, 0, 0)
         assert "udev" in permission_fix(device, "video"), "nobody should join root"
     else:
@@ -80,15 +84,29 @@ NOW_S, INSTALLED_S = 1_800_000_000.0, 1_790_000_000.0
     [
         ({}, [], []),
         ({THROTTLED: "0"}, ["ok"], ["fine"]),
-        ({THROTTLED: "50000"}, ["warning", "warning"], ["under-voltage at some time", "slowed down at some time"]),
-        ({THROTTLED: "50001"}, ["warning", "warning"], ["under-voltage now", "slowed down at some time"]),
+        (
+            {THROTTLED: "50000"},
+            ["warning", "warning"],
+            ["under-voltage at some time", "slowed down at some time"],
+        ),
+        (
+            {THROTTLED: "50001"},
+            ["warning", "warning"],
+            ["under-voltage now", "slowed down at some time"],
+        ),
         ({THROTTLED: "80008"}, ["warning"], ["slowed down now"]),
-        ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "cpufreq-dt"}, ["warning"], ["powersave"]),
+        (
+            {f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "cpufreq-dt"},
+            ["warning"],
+            ["powersave"],
+        ),
         ({f"{CPU}/scaling_governor": "ondemand", f"{CPU}/scaling_driver": "cpufreq-dt"}, [], []),
         ({f"{CPU}/scaling_governor": "powersave", f"{CPU}/scaling_driver": "intel_pstate"}, [], []),
     ],
 )
-def test_power_and_governor(machine: Any, files: dict[str, str], found: list[str], words: list[str]) -> None:
+def test_power_and_governor(
+    machine: Any, files: dict[str, str], found: list[str], words: list[str]
+) -> None:
     for path, text in files.items():
         machine.put(path, f"{text}\n")
     findings = check_board(machine)
@@ -122,7 +140,9 @@ def test_disk(tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> N
 
 
 def test_the_facts_name_the_board_and_not_its_owner(machine: Any) -> None:
-    assert set(board_facts(machine)) == {"board", "cores", "kernel", "Python", "tacshade-edge"}, "all that is reported"
+    assert set(board_facts(machine)) == {"board", "cores", "kernel", "Python", "tacshade-edge"}, (
+        "all that is reported"
+    )
     assert heat(machine) == ""
     for path, text in {
         MODEL: "Raspberry Pi | 5\x1b[31m" + "d" * 200,

@@ -10,16 +10,24 @@ from support.findings import checked, states
 from tacshade_edge.doctor.ports import Port, bytes_s, check_serial, check_usb, judge_usb, port_of
 from tacshade_edge.settings import V4l2
 
-USB1, USB2, USB3 = Port("USB bus 1", 12), Port("USB bus 1, port 1", 480), Port("USB bus 2, port 1", 5000)
+USB1, USB2, USB3 = (
+    Port("USB bus 1", 12),
+    Port("USB bus 1, port 1", 480),
+    Port("USB bus 2, port 1", 5000),
+)
 BY_ID = "/dev/serial/by-id/usb-FTDI_FT232R_A1-if00-port0"
 
 
-def camera(fourcc: str = "YUYV", width_px: int = 640, height_px: int = 480, fps: int = 30, device: int = 0) -> V4l2:
+def camera(
+    fourcc: str = "YUYV", width_px: int = 640, height_px: int = 480, fps: int = 30, device: int = 0
+) -> V4l2:
     made: Any = {"fourcc": fourcc, "width_px": width_px, "height_px": height_px, "fps": fps}
     return V4l2(device=f"/dev/video{device}", **made)
 
 
-def plug_camera(machine: Any, node: int, path: str, speed: str = "480", driver: str = "xhci_hcd") -> None:
+def plug_camera(
+    machine: Any, node: int, path: str, speed: str = "480", driver: str = "xhci_hcd"
+) -> None:
     """A video node at a path such as 1-1.2, below a controller's root hub."""
     bus, controller = path.partition("-")[0], "/sys/devices/pci0/0000:01:00.0"
     folder = f"{controller}/usb{bus}/{path.partition('.')[0]}"
@@ -49,7 +57,9 @@ def plug_camera(machine: Any, node: int, path: str, speed: str = "480", driver: 
     ],
     ids=lambda value: f"{len(value)} x {value[0].fourcc}" if isinstance(value, list) else None,
 )
-def test_what_fits_through_a_port(cameras: list[V4l2], port: Port, state: str, each_bytes_s: float) -> None:
+def test_what_fits_through_a_port(
+    cameras: list[V4l2], port: Port, state: str, each_bytes_s: float
+) -> None:
     assert bytes_s(cameras[0]) == each_bytes_s
     assert states([judge_usb(port, cameras)]) == [state]
 
@@ -115,7 +125,9 @@ def test_terminals_and_places_without_a_chip_are_no_ports(machine: Any) -> None:
         ("1", "/dev/ttyACM0", ["fault", "ok"], "plug the robot in"),
     ],
 )
-def test_a_port_by_its_best_name(machine: Any, timer_ms: str, device: str | None, found: list[str], fix: str) -> None:
+def test_a_port_by_its_best_name(
+    machine: Any, timer_ms: str, device: str | None, found: list[str], fix: str
+) -> None:
     plug(machine, "ttyUSB0", device__latency_timer=timer_ms)
     machine.link("/dev/serial/by-path/platform-usb-0:1", "../../ttyUSB0")
     machine.link(BY_ID, "../../ttyUSB0")
@@ -134,8 +146,16 @@ def test_another_program_a_console_and_the_daemon(machine: Any) -> None:
     machine.put("/proc/cmdline", "console=serial0,115200 console=tty1 root=/dev/sda\n")
     machine.process(30, "/usr/sbin/ModemManager", holds="/dev/ttyACM0")
     machine.process(31, "/sbin/agetty", "-o", "-p", "115200", "ttyS0", "vt220", holds="/dev/ttyS0")
-    machine.process(40, "/usr/bin/python3", "/opt/tacshade-edge/bin/tacshade-edge", "run", holds="/dev/ttyAMA10")
-    fixes = {finding.found.partition(":")[0]: finding.fix for finding in checked(check_serial(machine))}
-    for port, fix in (("ttyACM0", "kill 30"), ("ttyS0", "serial-getty@ttyS0"), ("ttyAMA0", "serial-getty@ttyAMA0")):
+    machine.process(
+        40, "/usr/bin/python3", "/opt/tacshade-edge/bin/tacshade-edge", "run", holds="/dev/ttyAMA10"
+    )
+    fixes = {
+        finding.found.partition(":")[0]: finding.fix for finding in checked(check_serial(machine))
+    }
+    for port, fix in (
+        ("ttyACM0", "kill 30"),
+        ("ttyS0", "serial-getty@ttyS0"),
+        ("ttyAMA0", "serial-getty@ttyAMA0"),
+    ):
         assert fix in fixes.pop(f"/dev/{port}")
     assert fixes == {"/dev/ttyAMA10": ""}

@@ -13,7 +13,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, pressed, presses, references, sensor_of, unloaded
+from support.calibrated_sensor import (
+    HALF,
+    calibrated,
+    pressed,
+    presses,
+    references,
+    sensor_of,
+    unloaded,
+)
 from support.networks import fitted_network, fitted_with
 
 from tacshade_edge.cli import main
@@ -45,7 +53,9 @@ def inputs() -> Inputs:
 
 @cache
 def made() -> Calibration:
-    return calibrate(inputs().sensor, references(), inputs().presses, networks=load_networks()).calibration
+    return calibrate(
+        inputs().sensor, references(), inputs().presses, networks=load_networks()
+    ).calibration
 
 
 def stored(
@@ -56,7 +66,9 @@ def stored(
     calibration: Calibration | None = None,
 ) -> None:
     """As a program of another version would."""
-    calibration = calibration or calibrated()  # made before the version is another: its checksum has it in it
+    calibration = (
+        calibration or calibrated()
+    )  # made before the version is another: its checksum has it in it
     with monkeypatch.context() as patch:
         patch.setattr(calibration_file, "VERSION", version)
         calibration_file.save(path, calibration, inputs)
@@ -106,10 +118,15 @@ def test_it_is_used_where_it_is_not_or_cannot_be_stored(
     path.with_name(f"hand.v{OLDER}.npz.part").mkdir()
     assert calibrations.load(path).crc32
     assert path.read_bytes() == before
-    assert "recalibrates at each start because it cannot store the new calibration" in caplog.messages[-1]
+    assert (
+        "recalibrates at each start because it cannot store the new calibration"
+        in caplog.messages[-1]
+    )
 
 
-def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_without_what_it_was_made_of_is_read_as_ever(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stored(path, monkeypatch, None)
     assert calibrations.load(path).factors == {}
     stored(path, monkeypatch, None, version=5)
@@ -120,15 +137,21 @@ def test_one_without_what_it_was_made_of_is_read_as_ever(path: Path, monkeypatch
 def test_what_can_no_longer_be_used_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     black = tuple(image * 0 for image in inputs().references)
     stored(path, monkeypatch, Inputs(inputs().sensor, black))
-    with pytest.raises(ConfigError, match=f"{path}: cannot recalibrate from the file's images: .*; calibrate again"):
+    with pytest.raises(
+        ConfigError, match=f"{path}: cannot recalibrate from the file's images: .*; calibrate again"
+    ):
         calibrations.load(path)
     stored(path, monkeypatch, Inputs(inputs().sensor, (black[0][:-2],)))
-    with pytest.raises(ConfigError, match="cannot read the stored images: found 320x238 px, expected a grey PNG"):
+    with pytest.raises(
+        ConfigError, match="cannot read the stored images: found 320x238 px, expected a grey PNG"
+    ):
         calibrations.load(path)
 
 
 @pytest.mark.slow
-def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fitted_weights_stay_when_it_is_made_again(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stored(path, monkeypatch, inputs(), calibration=fitted_with("fast", calibrated()))
     found = calibrations.load(path)
     assert found.factors == made().factors
@@ -142,7 +165,9 @@ def test_fitted_weights_stay_when_it_is_made_again(path: Path, monkeypatch: pyte
 def test_those_of_another_layout_do_not_run_and_a_new_fit_is_asked_for(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, version: int
 ) -> None:
-    stored(path, monkeypatch, inputs(), version, fitted_with("fast", calibrated(), layout="another"))
+    stored(
+        path, monkeypatch, inputs(), version, fitted_with("fast", calibrated(), layout="another")
+    )
     expected = made() if version == OLDER else calibrated()
     for _ in range(2):
         caplog.clear()
@@ -161,7 +186,8 @@ def test_weights_that_are_not_those_of_their_layout_do_not_run(path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("settings", "source"), [(V4l2(), V4l2Source), (Files(path="a"), FilesSource), (Simulated(), SimulatedSource)]
+    ("settings", "source"),
+    [(V4l2(), V4l2Source), (Files(path="a"), FilesSource), (Simulated(), SimulatedSource)],
 )
 def test_each_kind_of_source_is_made_from_its_settings(settings: Source, source: type) -> None:
     assert isinstance(make_source(settings), source)
@@ -184,7 +210,9 @@ def later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weights = shutil.copytree(network.WEIGHTS, tmp_path / "weights")
     for name in ("fast", "balanced", "accurate"):
         data = (weights / f"{name}.onnx").read_bytes()
-        (weights / f"{name}.onnx").write_bytes(with_values(data, values_of(data) * np.float32(0.99)))
+        (weights / f"{name}.onnx").write_bytes(
+            with_values(data, values_of(data) * np.float32(0.99))
+        )
     monkeypatch.setattr(network, "WEIGHTS", weights)
     monkeypatch.setattr(calibration_file, "VERSION", LATER)
 
@@ -222,18 +250,29 @@ def test_a_version_with_other_networks_recalibrates_by_itself(
     assert first_mm == pytest.approx(2.0, rel=0.15)
     with np.load(path) as stored:
         new = json.loads(stored["meta"].tobytes())["factors"]
-    assert {name: new[name] > factor for name, factor in factors.items()} == dict.fromkeys(factors, True)
+    assert {name: new[name] > factor for name, factor in factors.items()} == dict.fromkeys(
+        factors, True
+    )
     caplog.clear()
     assert depth_mm(path) == first_mm
     assert caplog.messages == []
 
 
 @pytest.mark.usefixtures("later")
-def test_one_without_its_inputs_opens_too_and_says_what_to_do(of_1_0: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_one_without_its_inputs_opens_too_and_says_what_to_do(
+    of_1_0: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     content = npz.read(str(of_1_0), "calibration", "calibrate")
     meta = {key: value for key, value in content.meta.items() if key != "inputs"}
-    arrays = {name: array for name, array in content.arrays.items() if name not in calibration_file.INPUT_ARRAYS}
+    arrays = {
+        name: array
+        for name, array in content.arrays.items()
+        if name not in calibration_file.INPUT_ARRAYS
+    }
     of_1_0.write_bytes(Content(meta, arrays).packed())
     assert calibrations.load(of_1_0).factors == {}
     (line,) = caplog.messages
-    assert line == f"{of_1_0}: ignoring the calibration's fit, which belongs to older networks; calibrate again"
+    assert (
+        line
+        == f"{of_1_0}: ignoring the calibration's fit, which belongs to older networks; calibrate again"
+    )

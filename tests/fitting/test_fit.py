@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, PIN_LENGTH_MM, calibrated, found_prints, presses, unloaded
+from support.calibrated_sensor import (
+    HALF,
+    PIN_LENGTH_MM,
+    calibrated,
+    found_prints,
+    presses,
+    unloaded,
+)
 from support.networks import float_network
 
 from tacshade_edge.core.depth.base import Features
@@ -28,7 +35,9 @@ if TYPE_CHECKING:
 # Found, not imported: that takes whoever only collects this two seconds.
 pytestmark = [
     pytest.mark.fit,
-    pytest.mark.skipif(find_spec("torch") is None, reason="PyTorch (the extra fit) is not installed"),
+    pytest.mark.skipif(
+        find_spec("torch") is None, reason="PyTorch (the extra fit) is not installed"
+    ),
 ]
 
 
@@ -41,7 +50,9 @@ def short_fit(
 ) -> FitResult:
     from tacshade_edge.fitting import fit as module
 
-    monkeypatch.setattr(module, "FULL", module.Effort(batches=2, held_out=1, skins=2, views=1, steps=steps))
+    monkeypatch.setattr(
+        module, "FULL", module.Effort(batches=2, held_out=1, skins=2, views=1, steps=steps)
+    )
     monkeypatch.setattr(module, "_SAY_S", 0.05)
     monkeypatch.setattr(module, "identify", lambda *_: found_prints())
     say = said.append if isinstance(said, list) else said
@@ -49,14 +60,18 @@ def short_fit(
 
 
 @pytest.mark.slow
-def test_a_fit_needs_no_press_and_says_what_it_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_fit_needs_no_press_and_says_what_it_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     folder, said = tmp_path / "fit", []
     folder.mkdir()
     (folder / "fit-of-mine.txt").touch()
     (folder / "fit-0123456789abcdef-fast.npz").touch()  # of another fit
     result = short_fit(monkeypatch, said, folder)
     assert [report.name for report in result.networks] == [DEFAULT, "accurate", "fast"]
-    assert set(result.calibration.fitted) == {report.name for report in result.networks if report.kept}
+    assert set(result.calibration.fitted) == {
+        report.name for report in result.networks if report.kept
+    }
     assert "pins 3.04 mm long as stated" in result.found[0]
     assert "markers that merge" in result.found[0]
     assert said[0] == "fit: finding the print in the reference"
@@ -67,7 +82,9 @@ def test_a_fit_needs_no_press_and_says_what_it_found(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-def test_an_interrupted_fit_leaves_no_worker_and_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_interrupted_fit_leaves_no_worker_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def interrupt(line: str) -> None:
         if line.startswith("fit: training"):
             raise KeyboardInterrupt
@@ -78,9 +95,16 @@ def test_an_interrupted_fit_leaves_no_worker_and_goes_on(monkeypatch: pytest.Mon
     kept = sorted(path.name[21:] for path in (tmp_path / "fit").glob("fit-*-frames-*.npz"))
     assert kept == ["frames-0.npz", "frames-1.npz"]
     said: list[str] = []
-    monkeypatch.setattr("tacshade_edge.fitting.training.train", None)  # in this process, which does not train
+    monkeypatch.setattr(
+        "tacshade_edge.fitting.training.train", None
+    )  # in this process, which does not train
     with pytest.raises(KeyboardInterrupt):
-        short_fit(monkeypatch, lambda line: (said.append(line), interrupt(line)), tmp_path / "fit", steps=400)
+        short_fit(
+            monkeypatch,
+            lambda line: (said.append(line), interrupt(line)),
+            tmp_path / "fit",
+            steps=400,
+        )
     assert not any("simulating, " in line for line in said)
 
 
@@ -116,11 +140,15 @@ def test_a_stated_print_that_the_reference_contradicts_is_not_fitted(
 
     shown = replace(found_prints()[0], residual=0.2)
     monkeypatch.setattr(
-        module, "identify", lambda _, stated=None: [replace(shown, residual=unexplained)] if stated else [shown]
+        module,
+        "identify",
+        lambda _, stated=None: [replace(shown, residual=unexplained)] if stated else [shown],
     )
     result = module.fit(without_presses(), [], lambda _: None, {"pin_length_mm": 9.0})
     assert not result.calibration.fitted
-    assert result.found[0].startswith(f"the stated print leaves {100 * unexplained:.0f} % of the reference unexplained")
+    assert result.found[0].startswith(
+        f"the stated print leaves {100 * unexplained:.0f} % of the reference unexplained"
+    )
     assert "mm long" in result.found[1]
     assert "20 % of the pattern unexplained" in result.found[1]
 
@@ -177,7 +205,9 @@ def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
     assert found.presses == 6
     assert 0 < found.mean_mm < 0.6
     assert found.error_scale is not None
-    none = on_presses(calibrated(), PROFILES["fast"], replace(load_network("fast"), sigma=None), presses()[:1])
+    none = on_presses(
+        calibrated(), PROFILES["fast"], replace(load_network("fast"), sigma=None), presses()[:1]
+    )
     assert none.error_scale is None
 
 
@@ -195,7 +225,9 @@ def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() 
     own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
     alike = on_presses(calibrated(), PROFILES["fast"], halved, own)
     assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
-    assert on_presses(calibrated(), PROFILES["fast"], halved, own, 2.0).mean_mm < 0.6 * alike.mean_mm
+    assert (
+        on_presses(calibrated(), PROFILES["fast"], halved, own, 2.0).mean_mm < 0.6 * alike.mean_mm
+    )
     others = [replace(press, radius_mm=5.1) for press in own[6:]]
     found = on_presses(calibrated(), PROFILES["fast"], halved, [*own[:6], *others])
     assert (len(found.errors_mm), found.presses) == (2, 12)
@@ -210,7 +242,11 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
     from tacshade_edge.fitting.training import TorchNetwork
 
     shipped = float_network(name, tmp_path)
-    rng, side, folded = np.random.default_rng(0), PROFILES[name].cells // shipped.fold, shipped.fold**2
+    rng, side, folded = (
+        np.random.default_rng(0),
+        PROFILES[name].cells // shipped.fold,
+        shipped.fold**2,
+    )
     known = rng.random((folded + KNOWN, side, side), dtype=np.float32)
     white = rng.random((folded, side, side), dtype=np.float32)
     expected, expected_untrusted = shipped.run(white, shipped.sense(known))

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, PIN_LENGTH_MM, TACTIP, found_prints, sensor_of, simulated
+from support.calibrated_sensor import (
+    HALF,
+    PIN_LENGTH_MM,
+    TACTIP,
+    found_prints,
+    sensor_of,
+    simulated,
+)
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.simulator import skin, truth
@@ -27,7 +34,9 @@ pytestmark = [
 
 
 def of(model: SensorModel) -> Calibration:
-    return calibrate(sensor_of(model), [simulated(model).frame((), k).image for k in range(3)]).calibration
+    return calibrate(
+        sensor_of(model), [simulated(model).frame((), k).image for k in range(3)]
+    ).calibration
 
 
 def assert_found(best: Found, model: SensorModel) -> None:
@@ -48,7 +57,9 @@ def assert_found(best: Found, model: SensorModel) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [TACTIP, replace(HALF, pin_length_pitches=1.3, print_seed=3)], ids=["tips", "short"])
+@pytest.mark.parametrize(
+    "model", [TACTIP, replace(HALF, pin_length_pitches=1.3, print_seed=3)], ids=["tips", "short"]
+)
 def test_the_print_is_found_as_it_was_made(model: SensorModel) -> None:
     from tacshade_edge.fitting.identify import identify
 
@@ -68,7 +79,11 @@ def test_sizes_stay_within_what_a_sensor_can_have() -> None:
     start = np.array((2.35, 0.45, 0.09, 0.4, 0.25))
     values, _ = quadratic(residual, start, (0, 1, 2, 4), BOXES[0], 0)
     np.testing.assert_allclose(values[[0, 4]], best[[0, 4]], atol=0.01)  # near the bounds, too
-    for each in (*tried, values, quadratic(lambda each: each - 10.0, start, (0, 1, 2, 4), BOXES[0], 0)[0]):
+    for each in (
+        *tried,
+        values,
+        quadratic(lambda each: each - 10.0, start, (0, 1, 2, 4), BOXES[0], 0)[0],
+    ):
         assert (each[[0, 1, 2, 4]] >= LEAST).all()
         assert (each[[0, 1, 2, 4]] <= MOST).all()
         assert each[3] == 0.4
@@ -87,7 +102,9 @@ MODEL = SensorModel()
 @pytest.fixture(scope="module")
 def dragged() -> Skin:
     presses = (Press(OBJECTS["cube"](), 2.0, -1.0, 3.0, drag_x_mm=2.0, twist_deg=5.0),)
-    return drag_skin(lambda lean: press_skin(20.0, MODEL.skin_decay_mm, presses, lean), MODEL, presses)
+    return drag_skin(
+        lambda lean: press_skin(20.0, MODEL.skin_decay_mm, presses, lean), MODEL, presses
+    )
 
 
 @pytest.mark.slow
@@ -103,12 +120,16 @@ def test_compiled_parts_agree_with_the_simulator(dragged: Skin) -> None:
         np.testing.assert_allclose(found_direction, direction, atol=6e-4)
     rows, cols = rng.uniform(60, 420, 300), rng.uniform(150, 500, 300)
     points = truth.skin_points(dragged, MODEL.geometry, rows, cols)
-    np.testing.assert_allclose(compiled.skin_points(dragged, MODEL.geometry, rows, cols), points, atol=2e-3)
+    np.testing.assert_allclose(
+        compiled.skin_points(dragged, MODEL.geometry, rows, cols), points, atol=2e-3
+    )
     shear = truth.shear_mm(dragged, points, 0.9)
     np.testing.assert_allclose(compiled.shear_mm(dragged, points, 0.9), shear, atol=6e-3)
     obstacle = rng.uniform(-1, 1, (60, 60)).clip(0).astype(np.float32)
     mass = np.full((60, 60), 0.02, np.float32)
-    np.testing.assert_allclose(compiled.solve(obstacle, mass), skin.solve(obstacle, mass), atol=5e-3)
+    np.testing.assert_allclose(
+        compiled.solve(obstacle, mass), skin.solve(obstacle, mass), atol=5e-3
+    )
     held = rng.normal(1, 0.2, (2, 60, 60)).astype(np.float32)
     slips = compiled.slid(held, 0.2 * obstacle, mass)
     np.testing.assert_allclose(slips, skin.slid(held, 0.2 * obstacle, mass), atol=5e-3)

@@ -23,7 +23,9 @@ TEST_S = 20.0
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark every test of this folder."""
     for item in items:
-        if item.path.is_relative_to(Path(__file__).parent):  # pytest asks every conftest about every item
+        if item.path.is_relative_to(
+            Path(__file__).parent
+        ):  # pytest asks every conftest about every item
             item.add_marker(pytest.mark.guest)
             if not INSIDE:
                 item.add_marker(pytest.mark.skip("needs a guest: python -m tools.ci.run_guest"))

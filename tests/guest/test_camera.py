@@ -13,7 +13,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.vivid import FPS, NODE, WEBCAM, control, kept_fps, load_driver, plug_webcam, unload_driver
+from support.vivid import (
+    FPS,
+    NODE,
+    WEBCAM,
+    control,
+    kept_fps,
+    load_driver,
+    plug_webcam,
+    unload_driver,
+)
 
 from tacshade_edge.devices.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -30,7 +39,13 @@ def webcam() -> None:
 
 
 def source(**changes: object) -> V4l2Source:
-    asked = {"device": NODE, "width_px": 640, "height_px": 480, "fps": 30, "fourcc": "YUYV"} | changes
+    asked = {
+        "device": NODE,
+        "width_px": 640,
+        "height_px": 480,
+        "fps": 30,
+        "fourcc": "YUYV",
+    } | changes
     return V4l2Source(**asked)  # type: ignore[arg-type]
 
 
@@ -59,7 +74,11 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
         described = camera.describe()
         camera.close()
     assert described["time_stamps"] == "kernel"
-    assert (described["format"], described["width_px"], described["height_px"]) == ("YUYV", 640, 480)
+    assert (described["format"], described["width_px"], described["height_px"]) == (
+        "YUYV",
+        640,
+        480,
+    )
     assert described["fps_stated"] == fps, "asked 30, the driver has 25 at this size and says so"
     (first, first_ns), (last, last_ns) = handed[0], handed[-1]
     true_fps = 1e9 * (last - first) / (last_ns - first_ns)
@@ -78,7 +97,9 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
     assert frames[-1] is not None
     assert after is not None
     assert after.seq >= frames[-1].seq + 6
-    assert after.t_ns - frames[-1].t_ns == pytest.approx((after.seq - frames[-1].seq) * 1e9 / true_fps, rel=0.1)
+    assert after.t_ns - frames[-1].t_ns == pytest.approx(
+        (after.seq - frames[-1].seq) * 1e9 / true_fps, rel=0.1
+    )
 
 
 @contextmanager
@@ -90,7 +111,9 @@ def handed_over() -> Iterator[list[tuple[int, int]]]:
     switch.write_text("1")
     yield handed
     switch.write_text("0")
-    events = [line for line in (TRACING / "trace").read_text().splitlines() if "v4l2_dqbuf:" in line]
+    events = [
+        line for line in (TRACING / "trace").read_text().splitlines() if "v4l2_dqbuf:" in line
+    ]
     for line in events[1:]:  # OpenCV keeps the very first frame to itself
         fields = dict(re.findall(r"(\w+) = (\d+)", line))
         handed.append((int(fields["sequence"]), int(fields["timestamp"])))
@@ -105,11 +128,15 @@ def skip_unless_even(handed: list[tuple[int, int]]) -> None:
         for sooner, later in itertools.pairwise(handed)
     ]
     if 10 * sum(off) > len(off):
-        pytest.skip(f"the emulated camera is starved: {sum(off)} of {len(off)} of its intervals are off by over 15 %")
+        pytest.skip(
+            f"the emulated camera is starved: {sum(off)} of {len(off)} of its intervals are off by over 15 %"
+        )
 
 
 def test_a_frames_time_is_the_kernels(webcam: None) -> None:
-    control("timestamp_source=1")  # start of exposure; by default the driver stamps the end, which is yet to come
+    control(
+        "timestamp_source=1"
+    )  # start of exposure; by default the driver stamps the end, which is yet to come
     camera = source()
     with handed_over() as handed:
         camera.open()
@@ -157,7 +184,10 @@ def test_another_format(webcam: None, fourcc: str) -> None:
     ("changes", "found"),
     [
         ({"fourcc": "MJPG"}, r"640x480 MJPG, but got 640x480 BGR3 \(it offers YUYV, NV12, GREY\)"),
-        ({"width_px": 648, "height_px": 484}, r"648x484 YUYV, but got \d+x\d+ YUYV \(it offers .*\)"),
+        (
+            {"width_px": 648, "height_px": 484},
+            r"648x484 YUYV, but got \d+x\d+ YUYV \(it offers .*\)",
+        ),
         ({"exposure": 100}, "exposure 100, but the driver has no such control"),
     ],
 )
@@ -202,12 +232,16 @@ def test_a_fatal_error_ends_reading_until_reopened(camera: V4l2Source) -> None:
 def test_unplugged_and_plugged_in_again(camera: V4l2Source) -> None:
     last = camera.read()
     assert last is not None
-    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    keeper = os.open(
+        NODE, os.O_RDWR
+    )  # the driver takes a disconnect back when its last user has gone
     control("disconnect=1")
     with pytest.raises(DeviceError, match=r"no frame within 0\.\d s: the device is gone"):
         read_out(camera)
     assert Path(NODE).exists()
-    with pytest.raises(DeviceError, match=r"^camera /dev/video0: cannot open it \(No such device\)$"):
+    with pytest.raises(
+        DeviceError, match=r"^camera /dev/video0: cannot open it \(No such device\)$"
+    ):
         camera.open()
     os.close(keeper)
     unload_driver()
@@ -264,5 +298,7 @@ def test_a_file_in_its_place_is_the_devices_fault(camera: V4l2Source) -> None:
 def test_a_node_that_does_not_capture() -> None:
     unload_driver()
     load_driver("node_types=0x100", "num_outputs=1", "output_types=1")
-    with pytest.raises(DeviceError, match="this device node is for output or metadata and captures no video"):
+    with pytest.raises(
+        DeviceError, match="this device node is for output or metadata and captures no video"
+    ):
         source().open()

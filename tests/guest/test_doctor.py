@@ -54,19 +54,25 @@ def test_a_good_camera() -> None:
         "camera control": "ok",
         "picture": "ok",
     }
-    assert "no control in this driver" in next(f.found for f in found if f.check == "camera control")
+    assert "no control in this driver" in next(
+        f.found for f in found if f.check == "camera control"
+    )
     assert list_cameras(MACHINE).found.startswith(f"found {NODE} (vivid")
 
 
 def test_the_offer_is_the_drivers() -> None:
-    listed = subprocess.run(["v4l2-ctl", "-d", NODE, "--list-formats-ext"], check=True, capture_output=True, text=True)
+    listed = subprocess.run(
+        ["v4l2-ctl", "-d", NODE, "--list-formats-ext"], check=True, capture_output=True, text=True
+    )
     assert "Discrete 640x480" in listed.stdout
     by_format = check_device(asked(fourcc="MJPG"), MACHINE)[-1]
     assert (by_format.state, by_format.fix) == ("fault", "set source.fourcc: YUYV or NV12 or GREY")
 
 
 def test_lost_frames() -> None:
-    control("percentage_of_dropped_buffers=50")  # by chance: of 20 % it once lost one frame, which is no warning
+    control(
+        "percentage_of_dropped_buffers=50"
+    )  # by chance: of 20 % it once lost one frame, which is no warning
     captured, found = frames(GOOD)
     assert captured.dropped > 1
     assert found[0].state == "warning"
@@ -76,7 +82,9 @@ def test_lost_frames() -> None:
 def test_a_stable_name_is_better() -> None:
     BY_ID.parent.mkdir(parents=True, exist_ok=True)
     BY_ID.symlink_to(NODE)
-    name = next(finding for finding in check_device(GOOD, MACHINE) if finding.check == "camera name")
+    name = next(
+        finding for finding in check_device(GOOD, MACHINE) if finding.check == "camera name"
+    )
     assert (name.state, name.fix) == ("warning", f"set source.device: {BY_ID}")
     assert "camera name" not in states(check_device(asked(device=str(BY_ID)), MACHINE))
     (missing,) = check_device(asked(device="/dev/video7"), MACHINE)
@@ -98,7 +106,9 @@ def test_held_by_another_program() -> None:
 
 
 def test_unplugged() -> None:
-    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    keeper = os.open(
+        NODE, os.O_RDWR
+    )  # the driver takes a disconnect back when its last user has gone
     control("disconnect=1")
     (finding,) = check_device(GOOD, MACHINE)
     os.close(keeper)

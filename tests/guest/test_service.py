@@ -39,7 +39,8 @@ GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
 CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
 SOURCE = V4l2(device=str(CAMERA), width_px=640, height_px=480, fps=25, fourcc="YUYV")
 GOOD = (
-    f"profile: fast\nsource: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+    "profile: fast\n"
+    f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
 )
 MEMORY_MAX = 150 * 2**20
 START_S = 10
@@ -55,8 +56,13 @@ def installed() -> None:
     assert sh("env", "DESTDIR=/", str(TREE / "systemd/install.sh"))[0] == 0
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
     site = APP / "lib" / python / "site-packages"
-    binds = {site / "tacshade_edge": str(TREE / "tacshade_edge"), Path("/opt/python"): sys.base_prefix}
-    for path, origin in (binds | {Path("/opt/site-packages"): sysconfig.get_path("purelib")}).items():
+    binds = {
+        site / "tacshade_edge": str(TREE / "tacshade_edge"),
+        Path("/opt/python"): sys.base_prefix,
+    }
+    for path, origin in (
+        binds | {Path("/opt/site-packages"): sysconfig.get_path("purelib")}
+    ).items():
         path.mkdir(parents=True)
         assert sh("mount", "--bind", origin, str(path))[0] == 0
     (site / "dependencies.pth").write_text("/opt/site-packages\n")
@@ -75,7 +81,10 @@ def installed() -> None:
     shutil.copy(GIVEN / "calibration.npz", STATE)
     for path in (STATE, STATE / "calibration.npz"):
         shutil.chown(path, "tacshade-edge", "tacshade-edge")
-    for command in (("daemon-reload",), ("start", "mosquitto")):  # with Debian's unit and our drop-in
+    for command in (
+        ("daemon-reload",),
+        ("start", "mosquitto"),
+    ):  # with Debian's unit and our drop-in
         assert sh("systemctl", *command)[0] == 0, sh("journalctl", "--no-pager", "-n", "50")[1]
     assert sh("systemctl", "start", *UDEV)[0] == 0
 
@@ -87,7 +96,13 @@ def plugged_in() -> Iterator[None]:
     Udev reports it once it is set up, which takes the only user.
     """
     sh("udevadm", "control", "--stop-exec-queue")
-    command = [sys.executable, str(TREE / "tools/rig/feed_video.py"), "--rate", "0.5", str(GIVEN / "images.npy")]
+    command = [
+        sys.executable,
+        str(TREE / "tools/rig/feed_video.py"),
+        "--rate",
+        "0.5",
+        str(GIVEN / "images.npy"),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as feeder:
         assert feeder.stdout is not None
         try:
@@ -111,7 +126,9 @@ def test_it_waits_for_a_camera_that_has_never_been_there() -> None:
     now = in_status("away", START_S)
     assert now["ActiveState"] == "active"
     assert now["NRestarts"] == "0"
-    assert "videodev" in Path("/proc/modules").read_text(), "the class is known before DeviceAllow names it"
+    assert "videodev" in Path("/proc/modules").read_text(), (
+        "the class is known before DeviceAllow names it"
+    )
 
 
 def test_the_life_of_a_plugged_in_camera() -> None:
@@ -169,7 +186,9 @@ def doctor_leaves_it_the_camera() -> None:
     found = machine.daemon()
     assert found is not None
     assert [held.pid for held in machine.holders(str(CAMERA))] == [found.pid] == [pid]
-    (finding,) = check_frames(SOURCE, capture(sources.make_source(SOURCE)), machine, "online, 25.0 frames/s")
+    (finding,) = check_frames(
+        SOURCE, capture(sources.make_source(SOURCE)), machine, "online, 25.0 frames/s"
+    )
     assert finding.state == "warning"
     assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"
 
@@ -185,7 +204,9 @@ def a_stalled_camera_is_left_alone() -> None:
 
 def unplugged_it_waits() -> None:
     before = show()
-    keeper = os.open(NODE, os.O_RDWR)  # the driver takes a disconnect back when its last user has gone
+    keeper = os.open(
+        NODE, os.O_RDWR
+    )  # the driver takes a disconnect back when its last user has gone
     control("disconnect=1")
     in_status("away", 20)
     Path(NODE).unlink()  # a real unplug does this, and the daemon must not take hold of it again
@@ -193,7 +214,11 @@ def unplugged_it_waits() -> None:
     unload_driver()
     wait_until(lambda: not CAMERA.is_symlink(), 10, "udev takes the name away")
     now = in_status("away", 1)
-    assert (now["ActiveState"], now["MainPID"], now["NRestarts"]) == ("active", before["MainPID"], before["NRestarts"])
+    assert (now["ActiveState"], now["MainPID"], now["NRestarts"]) == (
+        "active",
+        before["MainPID"],
+        before["NRestarts"],
+    )
 
 
 def a_clean_stop() -> None:
@@ -206,6 +231,10 @@ def a_clean_stop() -> None:
         took_s = time.monotonic() - began_s
         seen.wait_for_last("tacshade/tacshade/state", b"stopped")
     now = show()
-    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0"), journal()
+    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == (
+        "inactive",
+        "success",
+        "0",
+    ), journal()
     print(f"stopped within {took_s:.1f} s, emulated, of {limit_s:.1f} s allowed")
     assert took_s < limit_s

@@ -22,7 +22,8 @@ from tacshade_edge.types import F32, F64, Frame
 OF_DEPTH = [name for name, profile in PROFILES.items() if profile.network]
 NAMES = [*OF_DEPTH, "shear"]
 LAYER_BY_LAYER = [
-    pytest.param(name, marks=pytest.mark.slow) if name in ("accurate", "shear") else name for name in NAMES
+    pytest.param(name, marks=pytest.mark.slow) if name in ("accurate", "shear") else name
+    for name in NAMES
 ]
 """Every sum of a large network in float64 takes seconds."""
 PRESSES = (("ball", 1.0), ("ball", 3.0), ("cube", 2.0), ("cross", 4.5))
@@ -43,7 +44,9 @@ class Layer:
     x: np.ndarray
     x_zero: int
     rounded: np.ndarray  # int8 (O, C, k, k)
-    rounded_bias: np.ndarray  # int32 (O,), with what rounding the weights takes from the sums in the mean
+    rounded_bias: (
+        np.ndarray
+    )  # int32 (O,), with what rounding the weights takes from the sums in the mean
     scale: np.ndarray  # (O,) that multiplies the sums
     zero: int
     codes: np.ndarray
@@ -51,11 +54,17 @@ class Layer:
     def exact(self) -> F64:
         """Its codes, from the rounded weights and sums in float64, which are exact for integers."""
         size = self.rounded.shape[-1]
-        x = np.pad(self.x.astype(np.float64) - self.x_zero, ((0, 0), (self.pad,) * 2, (self.pad,) * 2))
+        x = np.pad(
+            self.x.astype(np.float64) - self.x_zero, ((0, 0), (self.pad,) * 2, (self.pad,) * 2)
+        )
         windows = np.lib.stride_tricks.sliding_window_view(x, (size, size), axis=(1, 2))
         sums = np.tensordot(self.rounded.astype(np.float64), windows, ((1, 2, 3), (0, 3, 4)))
         sums += self.rounded_bias[:, None, None]
-        return np.asarray(np.clip(np.rint(sums * self.scale[:, None, None].astype(np.float64)) + self.zero, 0, 255))
+        return np.asarray(
+            np.clip(
+                np.rint(sums * self.scale[:, None, None].astype(np.float64)) + self.zero, 0, 255
+            )
+        )
 
 
 @cache
@@ -93,7 +102,13 @@ def layers(name: str) -> Iterator[Layer]:
     shown = b"".join(message(_GRAPH_OUTPUT, message(_NAME, each.encode())) for each in names)
     session = runtime().InferenceSession(joined(data, shown), providers=["CPUExecutionProvider"])
     for white, sensor in inputs(name):
-        values = dict(zip(names, session.run(names, {"white": white[None], "sensor": sensor[None]}), strict=True))
+        values = dict(
+            zip(
+                names,
+                session.run(names, {"white": white[None], "sensor": sensor[None]}),
+                strict=True,
+            )
+        )
         for node, tensors in zip(convolutions, wanted, strict=True):
             x, x_zero, rounded, scale, zero, bias, codes = (values[each] for each in tensors)
             pad = node.attributes["pads"]
@@ -114,9 +129,14 @@ def test_sums_are_exact_and_codes_rounded_once(name: str) -> None:
 @pytest.mark.parametrize("name", OF_DEPTH)
 def test_heights_are_those_of_float32(name: str, tmp_path: Path) -> None:
     exact, ours = float_network(name, tmp_path), load_network(name)
-    off = [np.abs(heights_mm(ours, white, sensor) - heights_mm(exact, white, sensor)) for white, sensor in inputs(name)]
+    off = [
+        np.abs(heights_mm(ours, white, sensor) - heights_mm(exact, white, sensor))
+        for white, sensor in inputs(name)
+    ]
     mean, worst = max(float(each.mean()) for each in off), max(float(each.max()) for each in off)
-    print(f"figure: {name} in integers: heights {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most")
+    print(
+        f"figure: {name} in integers: heights {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most"
+    )
     assert mean <= MEAN_MM
 
 
@@ -135,5 +155,7 @@ def test_shears_are_those_of_float32(tmp_path: Path) -> None:
         for white, sensor in inputs("shear")
     ]
     mean, worst = max(float(each.mean()) for each in off), max(float(each.max()) for each in off)
-    print(f"figure: shear in integers: {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most")
+    print(
+        f"figure: shear in integers: {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most"
+    )
     assert mean <= MEAN_MM

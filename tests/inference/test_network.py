@@ -38,10 +38,14 @@ def sensed(name: str, network: Network) -> F32:
 def test_the_weights_are_those_of_their_provenance(name: str) -> None:
     about = json.loads((WEIGHTS / f"{name}.json").read_text())
     files = [
-        f"{name}{part}" for part in (".onnx", ".sensor.onnx", ".integer.onnx") if (WEIGHTS / f"{name}{part}").is_file()
+        f"{name}{part}"
+        for part in (".onnx", ".sensor.onnx", ".integer.onnx")
+        if (WEIGHTS / f"{name}{part}").is_file()
     ]
     stored = {file: (WEIGHTS / file).read_bytes() for file in files}
-    assert about["sha256"] == {file: hashlib.sha256(content).hexdigest() for file, content in stored.items()}
+    assert about["sha256"] == {
+        file: hashlib.sha256(content).hexdigest() for file, content in stored.items()
+    }
     assert sum(map(len, stored.values())) <= 2_500_000
     assert about["run_minus_torch"] <= 1e-4
     assert name == "shear" or about["cells"] == PROFILES[name].cells
@@ -49,8 +53,12 @@ def test_the_weights_are_those_of_their_provenance(name: str) -> None:
 
 def test_the_errors_are_those_of_the_shipped_weights() -> None:
     known = json.loads((WEIGHTS / "sigma.json").read_text())["networks"]
-    found = {name: hashlib.sha256((WEIGHTS / f"{name}.onnx").read_bytes()).hexdigest() for name in NAMES}
-    assert {name: errors["sha256"] for name, errors in known.items()} == found, "run tools/training/fit_sigma.py"
+    found = {
+        name: hashlib.sha256((WEIGHTS / f"{name}.onnx").read_bytes()).hexdigest() for name in NAMES
+    }
+    assert {name: errors["sha256"] for name, errors in known.items()} == found, (
+        "run tools/training/fit_sigma.py"
+    )
     for name, network in load_networks().items():
         assert network.sigma is not None
         assert network.sigma.scale_without_presses > 1.1, name  # 1.17, the least, is that of fast
@@ -81,9 +89,15 @@ def test_only_a_profile_that_needs_it_gets_a_network() -> None:
 def test_a_fitted_network_runs_its_own_weights(name: str) -> None:
     """The shipped ones, handed in as a fit, answer as the shipped; others do not."""
     shipped = load_network(name)
-    white, known = maps(name, shipped, shipped.fold**2), maps(name, shipped, shipped.fold**2 + KNOWN)
+    white, known = (
+        maps(name, shipped, shipped.fold**2),
+        maps(name, shipped, shipped.fold**2 + KNOWN),
+    )
     expected = shipped.run(white, shipped.sense(known))[0]
-    same, other = load_network(name, fitted_network(name)), load_network(name, fitted_network(name, 1e-3))
+    same, other = (
+        load_network(name, fitted_network(name)),
+        load_network(name, fitted_network(name, 1e-3)),
+    )
     assert same.run(white, same.sense(known))[0].tobytes() == expected.tobytes()
     assert not np.allclose(other.run(white, shipped.sense(known))[0], expected)
     with pytest.raises(ValueError, match=f"fitted to another layout than that of {name}.onnx"):
@@ -96,7 +110,9 @@ def test_a_fitted_profile_has_its_own_factor_and_keeps_its_weights_on_a_new_refe
     fitted = fitted_with("fast", calibrated())
     for factor, other in ((1.0, {}), (1.25, {"fast": 1.25})):
         own = {"fast": replace(fitted.fitted["fast"], factor=factor)}
-        plain = make_reconstructor(replace(calibrated(), factors=other), PROFILES["fast"]).step(frame)
+        plain = make_reconstructor(replace(calibrated(), factors=other), PROFILES["fast"]).step(
+            frame
+        )
         found = make_reconstructor(replace(fitted, fitted=own), PROFILES["fast"]).step(frame)
         assert found.height.height_mm.tobytes() == plain.height.height_mm.tobytes()
     renewed = rezero(fitted, [unloaded(noise_seed=seed) for seed in range(900, 905)])
@@ -105,8 +121,14 @@ def test_a_fitted_profile_has_its_own_factor_and_keeps_its_weights_on_a_new_refe
 
 def test_calibrations_are_of_the_shipped_weights() -> None:
     """A factor that was fitted to other weights is silently wrong: new weights need a new `VERSION`, and this line."""
-    shipped = {name: json.loads((WEIGHTS / f"{name}.json").read_text())["sha256"][f"{name}.onnx"][:8] for name in NAMES}
-    assert (VERSION, shipped) == (9, {"fast": "05035fe0", "balanced": "902f2ee7", "accurate": "492d6049"})
+    shipped = {
+        name: json.loads((WEIGHTS / f"{name}.json").read_text())["sha256"][f"{name}.onnx"][:8]
+        for name in NAMES
+    }
+    assert (VERSION, shipped) == (
+        9,
+        {"fast": "05035fe0", "balanced": "902f2ee7", "accurate": "492d6049"},
+    )
 
 
 RUN = """

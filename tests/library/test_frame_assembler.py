@@ -25,13 +25,17 @@ from tacshade_edge.types import Frame, Pose, Reconstruction, Touch
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
 INFO: dict[str, Any] = json.loads(
-    messages.encode_info(version="0", config_digest="0", profile="fast", calibration=published_calibration())
+    messages.encode_info(
+        version="0", config_digest="0", profile="fast", calibration=published_calibration()
+    )
 )
 TOUCHED = bump(7, 1.0, 236.0, 328.0, 8)
 
 
 def info() -> bytes:
-    return messages.encode_info(version="1", config_digest="", profile="balanced", calibration=calibrated())
+    return messages.encode_info(
+        version="1", config_digest="", profile="balanced", calibration=calibrated()
+    )
 
 
 def frame(seq: int) -> Frame:
@@ -41,7 +45,9 @@ def frame(seq: int) -> Frame:
 def published(*results: Reconstruction) -> list[tuple[str, bytes]]:
     """What the daemon's own publisher sends of them."""
     sent: list[tuple[str, bytes]] = []
-    publisher = Publisher(lambda topic, payload, _: sent.append((topic, payload)), lambda *_: None, lambda *_: None)
+    publisher = Publisher(
+        lambda topic, payload, _: sent.append((topic, payload)), lambda *_: None, lambda *_: None
+    )
     for result in results:
         publisher.see(FrameResult(frame(result.seq), calibrated(), result))
     return sent
@@ -67,7 +73,10 @@ def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     np.testing.assert_array_equal(result.contact, made.height.contact)
     np.testing.assert_array_equal(result.points_mm, made.cloud.points_mm)
     np.testing.assert_array_equal(result.labels, made.cloud.labels)
-    for found, expected in ((result.height_mm, made.height.height_mm), (result.shear_mm, made.shear_mm)):
+    for found, expected in (
+        (result.height_mm, made.height.height_mm),
+        (result.shear_mm, made.shear_mm),
+    ):
         assert expected is not None
         np.testing.assert_allclose(found, expected, atol=0.000505)
     np.testing.assert_allclose(result.sigma_mm, made.sigma_mm, atol=0.000505)
@@ -75,7 +84,9 @@ def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     assert found.label == expected.label
     for key in ("centroid_mm", "extent_mm", "normal"):
         assert getattr(found, key) == pytest.approx(getattr(expected, key), abs=0.002), key
-    assert (found.area_mm2, result.volume_mm3) == pytest.approx((expected.area_mm2, made.volume_mm3), rel=0.005)
+    assert (found.area_mm2, result.volume_mm3) == pytest.approx(
+        (expected.area_mm2, made.volume_mm3), rel=0.005
+    )
     assert result.depth_max_mm == pytest.approx(made.depth_max_mm, abs=0.001)
     assert (result.seq, result.t_ns, result.wall_ns) == (7, made.t_ns, made.wall_ns)
     assert (result.valid, result.in_contact, result.profile) == (True, True, "balanced")
@@ -83,7 +94,9 @@ def test_a_frame_heard_is_the_frame_published(name: str) -> None:
     assert made.touch is not None
     assert result.touch == pytest.approx(made.touch.values, abs=1e-4)
     assert result.touch_sigma == pytest.approx(made.touch.sigma, abs=1e-4)
-    np.testing.assert_allclose(result.skin_mm()[result.contact][0], made.cloud.points_mm[0], atol=0.002)
+    np.testing.assert_allclose(
+        result.skin_mm()[result.contact][0], made.cloud.points_mm[0], atol=0.002
+    )
 
 
 @pytest.mark.slow
@@ -123,7 +136,9 @@ def faulty() -> FrameAssembler:
     return frames
 
 
-def show(frames: FrameAssembler, result: Reconstruction, other: Reconstruction | None = None) -> None:
+def show(
+    frames: FrameAssembler, result: Reconstruction, other: Reconstruction | None = None
+) -> None:
     """Its frame, with shear and error of another."""
     other = other or result
     frames.add("height", wire.encode_height(result, calibration_crc32=CRC))
@@ -142,7 +157,10 @@ def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
     assert not incomplete.whole
     for frames in (unplaced, other, newer):
         show(frames, TOUCHED)
-    other.add("info", json.dumps({**INFO, "geometry": {**INFO["geometry"], "calibration_crc32": 1}}).encode())
+    other.add(
+        "info",
+        json.dumps({**INFO, "geometry": {**INFO["geometry"], "calibration_crc32": 1}}).encode(),
+    )
     assert unplaced.take() is other.take() is None
     assert unplaced.passed_over == other.passed_over == 1
     show(newer, replace(TOUCHED, seq=8))
@@ -152,7 +170,8 @@ def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
 
 
 @pytest.mark.parametrize(
-    "other", [bump(7, 1.0, 236.0, 328.0, 4), replace(TOUCHED, height=replace(TOUCHED.height, row0=2.0))]
+    "other",
+    [bump(7, 1.0, 236.0, 328.0, 4), replace(TOUCHED, height=replace(TOUCHED.height, row0=2.0))],
 )
 def test_shear_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction) -> None:
     for made in (dragged(other, 1.0, 0.0), uncertain(other, 0.1)):
@@ -166,7 +185,11 @@ def test_shear_and_error_of_another_grid_pass_a_frame_over(other: Reconstruction
 
 def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
     frames = faulty()
-    outside = Touch({"x_mm": None}, {"x_mm": None}, Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: x_mm"))
+    outside = Touch(
+        {"x_mm": None},
+        {"x_mm": None},
+        Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: x_mm"),
+    )
     touched = replace(TOUCHED, touch=outside)
     for seq, payload, expected in (
         (7, messages.encode_touch(touched), {"x_mm": None}),

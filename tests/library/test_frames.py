@@ -41,7 +41,11 @@ def recording(tmp_path: Path) -> Path:
 def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptureFixture) -> None:
     with ts.read(recording) as results:
         found = list(results)
-        assert [(r.seq, r.t_ns, r.in_contact) for r in found] == [(0, 1000, False), (1, 1001, True), (3, 1003, False)]
+        assert [(r.seq, r.t_ns, r.in_contact) for r in found] == [
+            (0, 1000, False),
+            (1, 1001, True),
+            (3, 1003, False),
+        ]
         assert found[1].objects[0].id is not None
         assert results.passed_over == 1
     assert [record.message.count("000002.png") for record in caplog.records] == [1]
@@ -52,7 +56,9 @@ def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptur
     assert caplog.messages == [f"{recording}: the recording was cut off; reading what is whole"]
 
 
-def test_a_recording_without_its_calibration_needs_a_sensor(recording: Path, sensor: ts.Sensor) -> None:
+def test_a_recording_without_its_calibration_needs_a_sensor(
+    recording: Path, sensor: ts.Sensor
+) -> None:
     (recording / "calibration.npz").unlink()
     with pytest.raises(ts.ConfigError, match=r"contains no calibration\.npz; pass a sensor"):
         ts.read(recording)
@@ -97,7 +103,11 @@ class Buffered:
         age_ms = next(self._ages_ms, None)
         if isinstance(age_ms, Exception):
             raise age_ms
-        return None if age_ms is None else Frame(0, self._now_ns - round(age_ms * 1e6), 0, np.array(unloaded()))
+        return (
+            None
+            if age_ms is None
+            else Frame(0, self._now_ns - round(age_ms * 1e6), 0, np.array(unloaded()))
+        )
 
     def close(self) -> None:
         pass
@@ -109,7 +119,17 @@ class Buffered:
 def test_the_newest_wins(sensor: ts.Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
     now_ns = 10**12
     monkeypatch.setattr(frames.time, "monotonic_ns", lambda: now_ns)
-    ages: list[float | Exception] = [500, 300, DecodeError("torn"), 20, 5, DeviceError("lost"), *[900.0] * 9, 5, 900]
+    ages: list[float | Exception] = [
+        500,
+        300,
+        DecodeError("torn"),
+        20,
+        5,
+        DeviceError("lost"),
+        *[900.0] * 9,
+        5,
+        900,
+    ]
     source = Buffered(ages, now_ns)
     results = frames._Live(source, sensor, fps=30)
     assert [round((now_ns - next(results).t_ns) / 1e6) for _ in range(2)] == [20, 5]

@@ -43,16 +43,22 @@ def test_a_file_gives_its_messages_in_order(tmp_path: Path) -> None:
 
 def test_a_damaged_file_gives_what_is_before(tmp_path: Path) -> None:
     first, second = (bytes.fromhex(v["hex"]) for v in SOUND[:2])
-    (path := tmp_path / "heights.bin").write_bytes(first + second[:-1] + bytes([second[-1] ^ 1]) + first)
+    (path := tmp_path / "heights.bin").write_bytes(
+        first + second[:-1] + bytes([second[-1] ^ 1]) + first
+    )
     messages = ts.decode_file(path)
     assert next(messages).seq == SOUND[0]["expect"]["seq"]
     with pytest.raises(ts.DecodeError, match=r"heights\.bin: message 1: .*CRC-32"):
         next(messages)
     path.write_bytes(first[:-1])
-    with pytest.raises(ts.DecodeError, match=rf"heights\.bin: cut short after {len(first) - 1} bytes"):
+    with pytest.raises(
+        ts.DecodeError, match=rf"heights\.bin: cut short after {len(first) - 1} bytes"
+    ):
         list(ts.decode_file(path))
     path.write_bytes(first[:84] + b"\xff" * 4 + first[88:] + bytes(1000))
-    with pytest.raises(ts.DecodeError, match=r"heights\.bin, byte 84: found 4294967295 payload bytes, expected at"):
+    with pytest.raises(
+        ts.DecodeError, match=r"heights\.bin, byte 84: found 4294967295 payload bytes, expected at"
+    ):
         list(ts.decode_file(path))
     with pytest.raises(ts.ConfigError, match=r"nothing\.bin: No such file"):
         list(ts.decode_file(tmp_path / "nothing.bin"))
@@ -63,7 +69,9 @@ def test_it_gives_what_the_hand_would_have_published(tmp_path: Path) -> None:
     assert list(made[0].fingers) == ["left-thumb", "left-index"]
     (touching, *_) = (m for m in made if all(f.state == "contact" for f in m.fingers.values()))
     thumb, index = touching.fingers.values()
-    assert thumb.objects[0].centroid_mm[0] == pytest.approx(index.objects[0].centroid_mm[0] + 50.0, abs=0.01)
+    assert thumb.objects[0].centroid_mm[0] == pytest.approx(
+        index.objects[0].centroid_mm[0] + 50.0, abs=0.01
+    )
     assert touching.motion is not None
     assert touching.motion.translation_mm == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
     assert ts.decode(encode_hand(touching)) == touching
@@ -74,18 +82,32 @@ def test_it_gives_what_the_hand_would_have_published(tmp_path: Path) -> None:
 def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     thumb, index = record_hand(tmp_path)
     alone = record_finger(tmp_path / "alone", "sensor_id: alone\n")
-    other = record_finger(tmp_path / "other", "{sensor_id: a, hand_id: right, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}\n")
+    other = record_finger(
+        tmp_path / "other", "{sensor_id: a, hand_id: right, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}\n"
+    )
     for paths, expected in (
-        ((thumb, alone), r"alone: found a recording without hand_T_sensor in its settings\.yaml, expected a recording"),
-        ((thumb, other), "other: found recordings of the hands left, right, expected recordings of one hand"),
-        ((thumb, thumb), "found a second recording of left-thumb, expected one recording per finger"),
+        (
+            (thumb, alone),
+            r"alone: found a recording without hand_T_sensor in its settings\.yaml, expected a recording",
+        ),
+        (
+            (thumb, other),
+            "other: found recordings of the hands left, right, expected recordings of one hand",
+        ),
+        (
+            (thumb, thumb),
+            "found a second recording of left-thumb, expected one recording per finger",
+        ),
         (str(index), "recordings: found .*, expected a list of paths"),
         ((), "recordings: found .*, expected a list of paths"),
     ):
         with pytest.raises(ts.ConfigError, match=expected):
             ts.read_hand(paths)
     (index / "calibration.npz").unlink()
-    with pytest.raises(ts.ConfigError, match=r"left-index: found no calibration\.npz, expected one in each recording"):
+    with pytest.raises(
+        ts.ConfigError,
+        match=r"left-index: found no calibration\.npz, expected one in each recording",
+    ):
         ts.read_hand([thumb, index])
     with pytest.raises(ts.ConfigError, match="profile: found 'best', expected one of accurate"):
         ts.read_hand([thumb], profile="best")

@@ -31,15 +31,25 @@ def sensor(calibration: Path) -> ts.Sensor:
     return ts.load(calibration)
 
 
-def test_it_is_what_the_command_writes(sensor: ts.Sensor, calibration: Path, tmp_path: Path) -> None:
+def test_it_is_what_the_command_writes(
+    sensor: ts.Sensor, calibration: Path, tmp_path: Path
+) -> None:
     image = tmp_path / "press.png"
     cv2.imwrite(str(image), pressed("cube", 2.0).image)
     result = sensor.reconstruct(image)
-    assert main(["reconstruct", "--calibration", str(calibration), "--out", str(tmp_path), str(image)]) == 0
+    assert (
+        main(["reconstruct", "--calibration", str(calibration), "--out", str(tmp_path), str(image)])
+        == 0
+    )
     with np.load(tmp_path / "press.npz") as written:
         for key in written.files:
             np.testing.assert_array_equal(getattr(result, key), written[key], err_msg=key)
-    assert (result.valid, result.reason, result.reason_code, result.in_contact) == (True, "", "", True)
+    assert (result.valid, result.reason, result.reason_code, result.in_contact) == (
+        True,
+        "",
+        "",
+        True,
+    )
     assert result.depth_max_mm == result.objects[0].depth_max_mm == pytest.approx(2.0, rel=0.2)
     (record,) = json.loads((tmp_path / "summary.json").read_text())
     assert result.touch is not None
@@ -55,7 +65,9 @@ def test_a_file_and_its_pixels_give_the_same(sensor: ts.Sensor, tmp_path: Path) 
     image = np.array(pressed("ball", 2.0).image)
     cv2.imwrite(str(tmp_path / "a.png"), image)
     of_file, of_pixels = sensor.reconstruct(str(tmp_path / "a.png")), sensor.reconstruct(image)
-    colour = np.asfortranarray(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    colour = np.asfortranarray(
+        image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    )
     for other in (of_pixels, sensor.reconstruct(colour)):
         np.testing.assert_array_equal(of_file.height_mm, other.height_mm)
 
@@ -73,7 +85,15 @@ def test_results_are_frozen_and_no_thread_is_left(sensor: ts.Sensor) -> None:
     result = sensor.reconstruct(np.array(unloaded()))
     with pytest.raises(FrozenInstanceError):
         result.valid = False  # type: ignore[misc]
-    for name in ("height_mm", "contact", "untrusted", "shear_mm", "sigma_mm", "points_mm", "labels"):
+    for name in (
+        "height_mm",
+        "contact",
+        "untrusted",
+        "shear_mm",
+        "sigma_mm",
+        "points_mm",
+        "labels",
+    ):
         assert not getattr(result, name).flags.writeable, name
     assert not result.in_contact
     assert (result.touch, result.touch_sigma) == (None, None)
@@ -92,23 +112,36 @@ def test_what_cannot_be_used_says_so(sensor: ts.Sensor, tmp_path: Path) -> None:
         sensor.reconstruct(np.zeros((3, 3)))  # type: ignore[arg-type]
     with pytest.raises(ts.DecodeError, match=r"nothing\.png: No such file"):
         sensor.reconstruct(tmp_path / "nothing.png")
-    with pytest.raises(ts.ConfigError, match="profile: found 'auto', expected one of accurate, balanced, fast, paper"):
+    with pytest.raises(
+        ts.ConfigError,
+        match="profile: found 'auto', expected one of accurate, balanced, fast, paper",
+    ):
         ts.Sensor(calibrated(), "auto")
 
 
 def test_a_sensor_that_another_thread_is_using_refuses(sensor: ts.Sensor) -> None:
-    with sensor._in_use, pytest.raises(ts.ConfigError, match="found two threads using one sensor, expected one thread"):
+    with (
+        sensor._in_use,
+        pytest.raises(
+            ts.ConfigError, match="found two threads using one sensor, expected one thread"
+        ),
+    ):
         sensor.reconstruct(unloaded())
     assert sensor.reconstruct(unloaded()).valid
 
 
 def test_a_notebook_shows_a_line_and_a_picture(sensor: ts.Sensor) -> None:
-    result, black = (sensor.reconstruct(image) for image in (pressed("ball", 2.0).image, 0 * unloaded()))
+    result, black = (
+        sensor.reconstruct(image) for image in (pressed("ball", 2.0).image, 0 * unloaded())
+    )
     assert repr(sensor).startswith("<Sensor of radius 20 mm, balanced, images of ")
     assert repr(result) == f"<Result 0 of balanced: 1 object, deepest {result.depth_max_mm:.2f} mm>"
     shown = result._repr_html_()
     data = shown.split("base64,")[1].split('"')[0]
-    assert cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR).shape[0] > 112
+    assert (
+        cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR).shape[0]
+        > 112
+    )
     assert not black.valid
     assert math.isnan(black.depth_max_mm)
     assert black.reason in repr(black)

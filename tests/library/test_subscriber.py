@@ -21,7 +21,8 @@ pytestmark = [
 
 def test_an_absent_broker_is_reported() -> None:
     with pytest.raises(
-        ts.DeviceError, match="Connection refused; expected a broker that serves topics under tacshade/drawn/"
+        ts.DeviceError,
+        match="Connection refused; expected a broker that serves topics under tacshade/drawn/",
     ):
         ts.listen(f"127.0.0.1:{free_port()}", "drawn")
 
@@ -39,7 +40,9 @@ def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
             while last.seq < 10:
                 last = next(results)
             assert (first.seq, first.in_contact, last.in_contact) == (1, True, False)
-            assert set(threading.enumerate()) <= before  # one of the broker's or the hand's may have ended
+            assert (
+                set(threading.enumerate()) <= before
+            )  # one of the broker's or the hand's may have ended
         assert next(results, None) is None
 
 

@@ -32,7 +32,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def make_result() -> Callable[..., Reconstruction]:
     """A reconstruction with the given height map and cloud; everything else by keyword."""
 
-    def make(height_mm: F32 | None = None, points_mm: F32 | None = None, **other: Any) -> Reconstruction:
+    def make(
+        height_mm: F32 | None = None, points_mm: F32 | None = None, **other: Any
+    ) -> Reconstruction:
         height = np.zeros((2, 2), np.float32) if height_mm is None else height_mm
         points = np.zeros((0, 3), np.float32) if points_mm is None else points_mm
         fields: dict[str, Any] = {

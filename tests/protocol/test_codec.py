@@ -109,7 +109,9 @@ names = st.text("abc_8", max_size=9).map(str.encode)
 
 
 @given(st.sampled_from("<>"), names, st.integers(0, 12), st.integers(0, 12), names)
-def test_an_image_of_any_alignment(order: str, frame_id: bytes, rows: int, cols: int, encoding: bytes) -> None:
+def test_an_image_of_any_alignment(
+    order: str, frame_id: bytes, rows: int, cols: int, encoding: bytes
+) -> None:
     found = decode_image(image(order, frame_id, rows, cols, encoding))
     assert found == PixelRows(rows, cols, encoding.decode(), cols, bytes(range(rows * cols)))
 

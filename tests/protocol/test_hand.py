@@ -13,7 +13,13 @@ import pytest
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.protocol.hand import away, decode_finger, encode_finger, encode_hand, finger_of
-from tacshade_edge.protocol.topics import OBJECTS_MAX, HandObjects, Motion, Unobservable, decode_hand
+from tacshade_edge.protocol.topics import (
+    OBJECTS_MAX,
+    HandObjects,
+    Motion,
+    Unobservable,
+    decode_hand,
+)
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.types import ObjectCloud, Reconstruction, Slip, TouchedObject
@@ -45,7 +51,16 @@ def touching(make_result: Callable[..., Reconstruction]) -> Reconstruction:
     points = np.array(((0, 0, 0), (4, 2, 1), (1, 1, 1)), np.float32)
     objects = (
         TouchedObject(
-            *(1, (1.25, -2.5, 20.0), (9.0, 9.0, 9.0), 1.75, 8.5, (0.6, 0.0, 0.8), (0.5, 0.25), -3.5),
+            *(
+                1,
+                (1.25, -2.5, 20.0),
+                (9.0, 9.0, 9.0),
+                1.75,
+                8.5,
+                (0.6, 0.0, 0.8),
+                (0.5, 0.25),
+                -3.5,
+            ),
             id=3,
             slip=Slip.PARTIAL,
             slip_mm_s=0.75,
@@ -58,7 +73,9 @@ def touching(make_result: Callable[..., Reconstruction]) -> Reconstruction:
     return make_result(objects=result.objects, cloud=cloud, degraded=glare)
 
 
-def test_the_first_vector_is_what_three_fingers_tell(make_result: Callable[..., Reconstruction]) -> None:
+def test_the_first_vector_is_what_three_fingers_tell(
+    make_result: Callable[..., Reconstruction],
+) -> None:
     fingers = {
         "thumb": finger_of(touching(make_result), TURNED),
         "index": finger_of(make_result(contact=False, t_ns=1_000_000, seq=812), TURNED),
@@ -88,27 +105,41 @@ def test_every_sound_vector_is_understood(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "error" in v], ids=named)
 def test_every_damaged_vector_is_refused(vector: dict[str, Any]) -> None:
-    with pytest.raises(DecodeError, match=r"^objects: .*; expected the format in docs/reference/mqtt\.md$"):
+    with pytest.raises(
+        DecodeError, match=r"^objects: .*; expected the format in docs/reference/mqtt\.md$"
+    ):
         decode_hand(vector["payload"].encode())
 
 
-def test_the_extent_is_that_of_the_points_along_the_hands_axes(make_result: Callable[..., Reconstruction]) -> None:
-    eighth = Rigid(from_seven((0, 0, 0, np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8))).rotation, np.zeros(3))
+def test_the_extent_is_that_of_the_points_along_the_hands_axes(
+    make_result: Callable[..., Reconstruction],
+) -> None:
+    eighth = Rigid(
+        from_seven((0, 0, 0, np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8))).rotation, np.zeros(3)
+    )
     points = np.array(((0, 0, 0), (1, 1, 0)), np.float32)  # along y once it is turned by 45 degrees
-    result = make_result(objects=(TouchedObject(1, (0.5, 0.5, 0), (1, 1, 0), 1, 1),), points_mm=points)
+    result = make_result(
+        objects=(TouchedObject(1, (0.5, 0.5, 0), (1, 1, 0), 1, 1),), points_mm=points
+    )
     (reported,) = finger_of(result, eighth).objects
     assert reported.extent_mm == pytest.approx((0.0, 2**0.5, 0.0), abs=1e-4)
 
 
-def test_a_finger_reports_its_greatest_objects_only(make_result: Callable[..., Reconstruction]) -> None:
-    many = tuple(TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 100 - k) for k in range(OBJECTS_MAX + 5))
+def test_a_finger_reports_its_greatest_objects_only(
+    make_result: Callable[..., Reconstruction],
+) -> None:
+    many = tuple(
+        TouchedObject(k + 1, (0, 0, 0), (1, 1, 1), 1, 100 - k) for k in range(OBJECTS_MAX + 5)
+    )
     finger = finger_of(make_result(objects=many), TURNED)
     assert [o.area_mm2 for o in finger.objects] == [100.0 - k for k in range(OBJECTS_MAX)]
     most = HandObjects(t_ns=2**62, wall_ns=2**62, seq=2**31, fingers=dict.fromkeys("abcde", finger))
     assert len(encode_hand(most)) < 29_000
 
 
-def test_a_finger_goes_to_the_hand_and_comes_as_it_was(make_result: Callable[..., Reconstruction]) -> None:
+def test_a_finger_goes_to_the_hand_and_comes_as_it_was(
+    make_result: Callable[..., Reconstruction],
+) -> None:
     finger = finger_of(touching(make_result), TURNED)
     assert decode_finger(encode_finger(finger)) == finger
     with pytest.raises(DecodeError, match=r"^a finger: "):

@@ -29,7 +29,11 @@ from tacshade_edge.reasons import Reason, ReasonCode
         ("reference", b'{"transaction": "a-1"}', Request("reference", "a-1")),
         ("profile", b'{"profile": "fast", "transaction": 7}', Request("profile", 7, "fast")),
         ("status", b"", Request("status")),
-        ("record", b'{"action": "start", "seconds": 5}', Request("record", action="start", seconds=5.0)),
+        (
+            "record",
+            b'{"action": "start", "seconds": 5}',
+            Request("record", action="start", seconds=5.0),
+        ),
         (
             "record",
             b'{"action": "start", "seconds": 5, "format": "mcap"}',
@@ -41,10 +45,22 @@ from tacshade_edge.reasons import Reason, ReasonCode
             Request("record", 1, action="start", name="a.b-1", seconds=0.5),
         ),
         ("record", b'{"action": "stop"}', Request("record", action="stop")),
-        ("record", b'{"action": "mark", "text": "now"}', Request("record", action="mark", text="now")),
+        (
+            "record",
+            b'{"action": "mark", "text": "now"}',
+            Request("record", action="mark", text="now"),
+        ),
         ("replay", b'{"back": true}', Request("replay", playback=PlaybackCommand(back=True))),
-        ("replay", b'{"step": true, "seek_s": 2}', Request("replay", playback=PlaybackCommand(step=True, seek_s=2.0))),
-        ("stitch", b'{"action": "begin", "name": "pad-1"}', Request("stitch", action="begin", name="pad-1")),
+        (
+            "replay",
+            b'{"step": true, "seek_s": 2}',
+            Request("replay", playback=PlaybackCommand(step=True, seek_s=2.0)),
+        ),
+        (
+            "stitch",
+            b'{"action": "begin", "name": "pad-1"}',
+            Request("stitch", action="begin", name="pad-1"),
+        ),
         (
             "stitch",
             b'{"action": "begin", "name": "%s"}' % (b"x" * 64),
@@ -90,13 +106,19 @@ def test_request(verb: str, payload: bytes, expected: Request) -> None:
         ("status", b" " * 4097, "at most 4096"),
     ],
 )
-def test_bad_request_says_what_and_what_was_expected(verb: str, payload: bytes, expected: str) -> None:
+def test_bad_request_says_what_and_what_was_expected(
+    verb: str, payload: bytes, expected: str
+) -> None:
     with pytest.raises(DecodeError) as caught:
         requests.parse_request(verb, payload)
     assert expected in str(caught.value)
 
 
-@given(st.text(), st.binary() | st.recursive(st.none() | st.text(), st.lists).map(lambda v: json.dumps(v).encode()))
+@given(
+    st.text(),
+    st.binary()
+    | st.recursive(st.none() | st.text(), st.lists).map(lambda v: json.dumps(v).encode()),
+)
 def test_no_request_does_worse_than_a_one_line_decode_error(verb: str, payload: bytes) -> None:
     for tried in (verb, "profile"):
         with pytest.raises(DecodeError) as caught:
@@ -127,7 +149,14 @@ _TAKEN = {"frames": 10, "calibration_crc32": 7, "noise_grey": 0.5}
         (SessionBegun("007"), {"name": "007"}),
         (
             SessionEnded("pad", 3, 2, False, 0.03149, 211.6),
-            {"name": "pad", "presses": 3, "used": 2, "refined": 0, "disagreement_mm": 0.031, "area_mm2": 212},
+            {
+                "name": "pad",
+                "presses": 3,
+                "used": 2,
+                "refined": 0,
+                "disagreement_mm": 0.031,
+                "area_mm2": 212,
+            },
         ),
         (ProfileChosen("fast"), {"profile": "fast"}),
         (ReferenceTaken(10, 7, 0.5), {**_TAKEN, "stored": True, "reason": "", "reason_code": ""}),
@@ -137,19 +166,31 @@ _TAKEN = {"frames": 10, "calibration_crc32": 7, "noise_grey": 0.5}
         ),
     ],
 )
-def test_results_have_the_serial_lines_words_as_keys(result: RequestResult, written: dict[str, Any]) -> None:
+def test_results_have_the_serial_lines_words_as_keys(
+    result: RequestResult, written: dict[str, Any]
+) -> None:
     payload = encode_reply(Request("status"), result)
     assert json.loads(payload)["result"] == written
     assert [*json.loads(payload)["result"]] == [*written]  # in that order
     if not isinstance(result, ProfileChosen):
         words = dict(word.split("=") for word in answer_text(1, result).split()[2:])
-        without = {key: value for key, value in written.items() if not key.startswith("reason")}  # a line is short
-        assert {key: value if key == "name" else float(value) for key, value in words.items()} == without
+        without = {
+            key: value for key, value in written.items() if not key.startswith("reason")
+        }  # a line is short
+        assert {
+            key: value if key == "name" else float(value) for key, value in words.items()
+        } == without
 
 
 def test_the_error_of_stitch_begins_with_the_serial_lines_word() -> None:
-    reason = Reason(ReasonCode.NO_POSE, "frame 812: the robot's pose at the frame's time is unknown")
+    reason = Reason(
+        ReasonCode.NO_POSE, "frame 812: the robot's pose at the frame's time is unknown"
+    )
     error = json.loads(encode_reply(Request("stitch", 5, action="add"), reason))
-    assert (error["transaction"], error["error"], error["reason_code"]) == (5, f"NOPOSE: {reason}", "no_pose")
+    assert (error["transaction"], error["error"], error["reason_code"]) == (
+        5,
+        f"NOPOSE: {reason}",
+        "no_pose",
+    )
     error = json.loads(encode_reply(Request("reference"), reason))
     assert error["error"] == reason.text

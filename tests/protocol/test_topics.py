@@ -21,7 +21,15 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.protocol import codec, messages, topics, wire
 from tacshade_edge.protocol.broker_address import host_and_port
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import Calibration, Disc, Geometry, Reconstruction, Slip, Touch, TouchedObject
+from tacshade_edge.types import (
+    Calibration,
+    Disc,
+    Geometry,
+    Reconstruction,
+    Slip,
+    Touch,
+    TouchedObject,
+)
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
@@ -55,13 +63,25 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "wall_ns": 2_000,
     }
     assert list(contact.items()) == list(expected.items())  # in this order
-    free = json.loads(messages.encode_contact(make_result(contact=False, volume_mm3=math.nan), fps=math.inf))
-    assert [free[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "volume_mm3")] == [0, 0.0, 0, None, None]
+    free = json.loads(
+        messages.encode_contact(make_result(contact=False, volume_mm3=math.nan), fps=math.inf)
+    )
+    assert [free[k] for k in ("contact", "depth_max_mm", "objects", "x_mm", "volume_mm3")] == [
+        0,
+        0.0,
+        0,
+        None,
+        None,
+    ]
 
 
-def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[..., Reconstruction]) -> None:
+def test_a_touch_is_numbers_by_name_with_their_deviations(
+    make_result: Callable[..., Reconstruction],
+) -> None:
     reason = Reason(ReasonCode.TOUCH_RANGE, "outside the labelled range: force_z_n")
-    touch = Touch({"depth_mm": 1.81251, "force_z_n": None}, {"depth_mm": 0.0625, "force_z_n": None}, reason)
+    touch = Touch(
+        {"depth_mm": 1.81251, "force_z_n": None}, {"depth_mm": 0.0625, "force_z_n": None}, reason
+    )
     assert json.loads(messages.encode_touch(make_result(touch=touch))) == {
         "t_ns": 1_000,
         "seq": 5,
@@ -76,8 +96,12 @@ def test_a_touch_is_numbers_by_name_with_their_deviations(make_result: Callable[
 def test_contact_reports_the_most_of_what_moves(
     make_result: Callable[..., Reconstruction], two_objects: tuple[TouchedObject, ...]
 ) -> None:
-    one = replace(two_objects[0], shear_mm=(0.5, -0.5), twist_deg=3.0, slip=Slip.PARTIAL, slip_mm_s=0.5)
-    other = replace(two_objects[1], shear_mm=(-2.0, 0.25), twist_deg=-4.0, slip=Slip.FULL, slip_mm_s=6.0)
+    one = replace(
+        two_objects[0], shear_mm=(0.5, -0.5), twist_deg=3.0, slip=Slip.PARTIAL, slip_mm_s=0.5
+    )
+    other = replace(
+        two_objects[1], shear_mm=(-2.0, 0.25), twist_deg=-4.0, slip=Slip.FULL, slip_mm_s=6.0
+    )
     decoded = json.loads(messages.encode_contact(make_result(objects=(one, other)), fps=1.0))
     moves = [decoded[k] for k in ("shear_x_mm", "shear_y_mm", "twist_deg", "slip", "slip_mm_s")]
     assert moves == [-2.0, 0.25, -4.0, 2, 6.0]
@@ -98,17 +122,27 @@ def test_info_places_a_pixel_in_mm() -> None:
         crc32=0xDEADBEEF,
     )
     payload = messages.encode_info(
-        version="1", config_digest="ab", profile="fast", calibration=calibration, profiles=("fast", "paper")
+        version="1",
+        config_digest="ab",
+        profile="fast",
+        calibration=calibration,
+        profiles=("fast", "paper"),
     )
     info = json.loads(payload)
     assert info["reference"] is None
     assert info["fitted"] == []
     again = messages.encode_info(
-        version="1", config_digest="ab", profile="fast", calibration=fitted_with("fast", calibration)
+        version="1",
+        config_digest="ab",
+        profile="fast",
+        calibration=fitted_with("fast", calibration),
     )
     assert json.loads(again)["fitted"] == ["fast"]
     assert (info["hand_id"], info["hand_T_sensor"]) == (None, None)
-    assert {k: info[k] for k in ("version", "wire_version", "config_digest", "profile", "profiles", "choice")} == {
+    assert {
+        k: info[k]
+        for k in ("version", "wire_version", "config_digest", "profile", "profiles", "choice")
+    } == {
         "version": "1",
         "wire_version": 1,
         "config_digest": "ab",
@@ -120,17 +154,32 @@ def test_info_places_a_pixel_in_mm() -> None:
     assert geometry["camera_distance_mm"] is None
     assert geometry["mm_per_px"] == pytest.approx(0.05)
     assert (geometry["row_c"], geometry["col_c"], geometry["radius_px"]) == (239.5, 319.5, 200.0)
-    assert (geometry["skin_radius_mm"], geometry["visible_half_angle_deg"], geometry["f_px"]) == (20.0, 30.0, 0.0)
+    assert (geometry["skin_radius_mm"], geometry["visible_half_angle_deg"], geometry["f_px"]) == (
+        20.0,
+        30.0,
+        0.0,
+    )
     assert geometry["calibration_crc32"] == 0xDEADBEEF
     assert geometry["flange_T_sensor"] == [0, 0, 0, 1, 0, 0, 0]
 
 
 def test_status_and_health() -> None:
     absent = Reason(ReasonCode.ABSENT, "no such device")
-    status = messages.encode_status("failed", absent, {"rate_hz": 60.0, "state": "details do not win"})
-    expected = {"rate_hz": 60.0, "state": "failed", "reason": "no such device", "reason_code": "absent"}
+    status = messages.encode_status(
+        "failed", absent, {"rate_hz": 60.0, "state": "details do not win"}
+    )
+    expected = {
+        "rate_hz": 60.0,
+        "state": "failed",
+        "reason": "no such device",
+        "reason_code": "absent",
+    }
     assert json.loads(status) == expected
-    assert json.loads(messages.encode_status("idle")) == {"state": "idle", "reason": "", "reason_code": ""}
+    assert json.loads(messages.encode_status("idle")) == {
+        "state": "idle",
+        "reason": "",
+        "reason_code": "",
+    }
     assert json.loads(codec.encode_json({"captured": np.int64(3), "p99_ms": np.float32(1.5)})) == {
         "captured": 3,
         "p99_ms": 1.5,
@@ -149,11 +198,23 @@ def test_what_a_daemon_reports_is_understood() -> None:
 
 
 @pytest.mark.parametrize(
-    "key", ["radius_px", "skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm", "row_c", "image_width_px"]
+    "key",
+    [
+        "radius_px",
+        "skin_radius_mm",
+        "visible_half_angle_deg",
+        "camera_distance_mm",
+        "row_c",
+        "image_width_px",
+    ],
 )
 @pytest.mark.parametrize("value", ["-1e9", "1e308", "1e999", "1" + "0" * 400, "[]"])
 def test_a_geometry_that_no_sensor_has_is_refused(key: str, value: str) -> None:
-    changed = json.dumps({**INFO, "geometry": {**INFO["geometry"], key: "?"}}).replace('"?"', value).encode()
+    changed = (
+        json.dumps({**INFO, "geometry": {**INFO["geometry"], key: "?"}})
+        .replace('"?"', value)
+        .encode()
+    )
     with pytest.raises(DecodeError, match=r"^info: "):
         topics.decode_info(changed)
 
@@ -162,7 +223,9 @@ def test_a_geometry_that_no_sensor_has_is_refused(key: str, value: str) -> None:
 def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
     payload = vector["payload"].encode()
     if "error" in vector:
-        with pytest.raises(DecodeError, match=r"^touch: .*; expected the format in docs/reference/mqtt.md"):
+        with pytest.raises(
+            DecodeError, match=r"^touch: .*; expected the format in docs/reference/mqtt.md"
+        ):
             topics.decode_touch(payload)
         return
     touch = topics.decode_touch(payload)
@@ -171,7 +234,9 @@ def test_a_touch_is_understood_or_refused(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("sent", [b"", b"on line", b"online\n", b"\xff", b"x" * 10_000_000])
 def test_a_state_that_is_none_is_refused_in_one_line(sent: bytes) -> None:
-    with pytest.raises(DecodeError, match="expected one of online, degraded, stopped, offline") as refused:
+    with pytest.raises(
+        DecodeError, match="expected one of online, degraded, stopped, offline"
+    ) as refused:
         topics.decode_state(sent)
     assert len(str(refused.value)) < 200
 
@@ -194,14 +259,25 @@ def test_a_health_that_no_daemon_reports_is_refused(changed: dict[str, Any]) -> 
 
 ANNOUNCED = encode_discovery("left-index", version="0.1.0", profiles=tuple(PROFILES))
 COMMON = {"name", "unique_id", "device", "origin", "availability"}
-KINDS: dict[str, tuple[set[str], set[str]]] = {  # keys that a component needs, and may have: others it leaves out
+KINDS: dict[
+    str, tuple[set[str], set[str]]
+] = {  # keys that a component needs, and may have: others it leaves out
     "sensor": (
         {"state_topic"},
-        {"value_template", "unit_of_measurement", "device_class", "state_class", "suggested_display_precision"},
+        {
+            "value_template",
+            "unit_of_measurement",
+            "device_class",
+            "state_class",
+            "suggested_display_precision",
+        },
     ),
     "binary_sensor": ({"state_topic", "value_template"}, set()),
     "event": ({"state_topic", "event_types"}, {"value_template", "qos"}),
-    "select": ({"command_topic", "command_template", "state_topic", "value_template", "options", "qos"}, set()),
+    "select": (
+        {"command_topic", "command_template", "state_topic", "value_template", "options", "qos"},
+        set(),
+    ),
     "button": ({"command_topic", "payload_press", "qos"}, set()),
 }
 
@@ -220,14 +296,19 @@ def test_it_is_as_the_documentation_says(topic: str) -> None:
     assert set(entity["device"]) == {"identifiers", "name", "model", "sw_version"}
     assert set(entity["origin"]) == {"name", "sw_version"}
     (availability,) = entity["availability"]
-    assert (set(availability), availability["topic"]) == ({"topic", "value_template"}, "tacshade/left-index/state")
+    assert (set(availability), availability["topic"]) == (
+        {"topic", "value_template"},
+        "tacshade/left-index/state",
+    )
     topics = [value for key, value in entity.items() if key.endswith("_topic")]
     assert all(re.fullmatch(r"tacshade/left-index/[a-z_/]+", one) for one in topics)
 
 
 def test_what_is_announced_is_what_would_be_taken_back() -> None:
     assert tuple(ANNOUNCED) == discovery_topics("left-index")
-    assert len({json.loads(payload)["unique_id"] for payload in ANNOUNCED.values()}) == len(ANNOUNCED)
+    assert len({json.loads(payload)["unique_id"] for payload in ANNOUNCED.values()}) == len(
+        ANNOUNCED
+    )
 
 
 @pytest.mark.parametrize(
@@ -246,18 +327,43 @@ def test_a_broker_is_a_host_and_a_port(text: str, found: tuple[str, int]) -> Non
 @pytest.mark.parametrize(
     "text",
     [
-        *("", ":", ":1883", "host:", "host:0", "host:65536", "host:٣", "host:" + "1" * 5000, "h" * 64, "a." * 127),
-        *("mqtt://h", "mqtt://h:1883", "::1", "[::1", "h,i", "a@h:1883", "[h:1]:1883", "h\n", "h\0"),
+        *(
+            "",
+            ":",
+            ":1883",
+            "host:",
+            "host:0",
+            "host:65536",
+            "host:٣",
+            "host:" + "1" * 5000,
+            "h" * 64,
+            "a." * 127,
+        ),
+        *(
+            "mqtt://h",
+            "mqtt://h:1883",
+            "::1",
+            "[::1",
+            "h,i",
+            "a@h:1883",
+            "[h:1]:1883",
+            "h\n",
+            "h\0",
+        ),
     ],
 )
 def test_what_is_none_is_refused_in_one_line(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as") as caught:
+    with pytest.raises(
+        ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as"
+    ) as caught:
         host_and_port(text)
     assert len(str(caught.value)) < 150
 
 
 def test_a_payload_of_another_kind_is_refused() -> None:
-    cloud = wire.encode_map_cloud(np.zeros((0, 3), np.float32), revision=1, calibration_crc32=0, t_ns=0, wall_ns=0)
+    cloud = wire.encode_map_cloud(
+        np.zeros((0, 3), np.float32), revision=1, calibration_crc32=0, t_ns=0, wall_ns=0
+    )
     with pytest.raises(DecodeError, match="height: found a CloudMessage, expected a HeightMessage"):
         topics.OF_SENSORS["height"].decode("height", cloud)
     assert topics.decode_preview("preview", b"\xff\xd8\xff") == b"\xff\xd8\xff"

@@ -18,9 +18,19 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Pose, Reconstruction
 
 GLARE = Reason(ReasonCode.GLARE, "glare hides 5 % of the disc")
-METADATA = ("seq", "calibration_crc32", "t_ns", "wall_ns", "contact", "invalid", "saturated", "degraded")
+METADATA = (
+    "seq",
+    "calibration_crc32",
+    "t_ns",
+    "wall_ns",
+    "contact",
+    "invalid",
+    "saturated",
+    "degraded",
+)
 FLAGS = st.fixed_dictionaries(
-    {name: st.booleans() for name in ("valid", "contact", "saturated")} | {"degraded": st.sampled_from([None, GLARE])}
+    {name: st.booleans() for name in ("valid", "contact", "saturated")}
+    | {"degraded": st.sampled_from([None, GLARE])}
 )
 KINDS: dict[type, tuple[str, str]] = {
     wire.HeightMessage: ("height", "height_mm"),
@@ -31,8 +41,17 @@ KINDS: dict[type, tuple[str, str]] = {
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)
 
 
-def reconstruction(height: Any, points: Any = None, labels: Any = None, **other: Any) -> Reconstruction:
-    fields: dict[str, Any] = {"seq": 1, "t_ns": 2, "wall_ns": 3, "valid": True, "contact": True, "saturated": False}
+def reconstruction(
+    height: Any, points: Any = None, labels: Any = None, **other: Any
+) -> Reconstruction:
+    fields: dict[str, Any] = {
+        "seq": 1,
+        "t_ns": 2,
+        "wall_ns": 3,
+        "valid": True,
+        "contact": True,
+        "saturated": False,
+    }
     fields |= {"degraded": None, "profile": "fast", "reason": None} | other
     points = np.zeros((0, 3), np.float32) if points is None else points
     labels = np.zeros(len(points), np.uint16) if labels is None else labels
@@ -42,14 +61,24 @@ def reconstruction(height: Any, points: Any = None, labels: Any = None, **other:
 
 def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
     """What one would have encoded to get a vector."""
-    height = np.array([np.nan if h is None else h for h in expect.get("height_mm", [0.0])], np.float32)
+    height = np.array(
+        [np.nan if h is None else h for h in expect.get("height_mm", [0.0])], np.float32
+    )
     points = np.array(expect.get("points_mm", []), np.float32).reshape(-1, 3)
     shear = np.array([np.nan if s is None else s for s in expect.get("shear_mm", [])], np.float32)
     sigma = np.array([np.nan if s is None else s for s in expect.get("sigma_mm", [])], np.float32)
     if shear.size or sigma.size:
         height = np.zeros((expect["rows"], expect["cols"]), np.float32)
     result = Reconstruction(
-        *(expect["seq"], expect["t_ns"], expect["wall_ns"], "fast", not expect["invalid"], None, expect["contact"]),
+        *(
+            expect["seq"],
+            expect["t_ns"],
+            expect["wall_ns"],
+            "fast",
+            not expect["invalid"],
+            None,
+            expect["contact"],
+        ),
         saturated=expect["saturated"],
         degraded=GLARE if expect["degraded"] else None,
         height=HeightMap(
@@ -77,7 +106,11 @@ def test_sound_vector_decodes_to_its_values(sound: dict[str, Any]) -> None:
         assert values.shape == (expect["n"], 3)
         assert message.labels.tolist() == expect["labels"]
     else:
-        assert (message.row0, message.col0, message.step_px) == (expect["row0"], expect["col0"], expect["step_px"])
+        assert (message.row0, message.col0, message.step_px) == (
+            expect["row0"],
+            expect["col0"],
+            expect["step_px"],
+        )
         assert values.shape == (expect["rows"], expect["cols"], 2)[: values.ndim]
     wanted = np.array([np.nan if v is None else v for v in expect[name]])
     np.testing.assert_allclose(values.ravel(), wanted, rtol=1e-6, atol=1e-7)
@@ -88,7 +121,10 @@ def test_encoder_writes_the_vector_byte_for_byte(own: dict[str, Any]) -> None:
     expect = own["expect"]
     result, pose = from_vector(expect)
     data = getattr(wire, f"encode_{expect['kind']}")(
-        result, calibration_crc32=expect["calibration_crc32"], pose=pose, pose_error_us=expect["pose_error_us"]
+        result,
+        calibration_crc32=expect["calibration_crc32"],
+        pose=pose,
+        pose_error_us=expect["pose_error_us"],
     )
     assert data.hex() == own["hex"]
 
@@ -106,9 +142,16 @@ def test_damaged_vector_is_refused_with_what_and_where(damaged: dict[str, Any]) 
 
 
 @given(
-    npst.arrays(np.float32, npst.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12), elements=FLOATS), FLAGS
+    npst.arrays(
+        np.float32,
+        npst.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12),
+        elements=FLOATS,
+    ),
+    FLAGS,
 )
-def test_any_height_is_rounded_or_clamped_and_never_wrapped(height: Any, flags: dict[str, Any]) -> None:
+def test_any_height_is_rounded_or_clamped_and_never_wrapped(
+    height: Any, flags: dict[str, Any]
+) -> None:
     result = reconstruction(height, **flags)
     message = wire.decode(wire.encode_height(result, calibration_crc32=9))
     assert isinstance(message, wire.HeightMessage)
@@ -174,16 +217,23 @@ def test_size_field_cannot_make_the_decoder_allocate() -> None:
 
 
 def test_numbers_that_no_sensor_has_are_refused() -> None:
-    made = reconstruction(np.zeros((2, 2), np.float32), np.zeros((1, 3), np.float32), np.ones(1, np.uint16))
+    made = reconstruction(
+        np.zeros((2, 2), np.float32), np.zeros((1, 3), np.float32), np.ones(1, np.uint16)
+    )
     for name, value in (("step_px", 0.0), ("step_px", np.inf), ("row0", np.nan), ("col0", 1e30)):
-        payload = wire.encode_height(replace(made, height=replace(made.height, **{name: value})), calibration_crc32=0)
+        payload = wire.encode_height(
+            replace(made, height=replace(made.height, **{name: value})), calibration_crc32=0
+        )
         with pytest.raises(DecodeError, match="byte 36"):
             wire.decode(payload)
     for value in (np.nan, np.inf, 2e7):
         cloud = replace(made.cloud, points_mm=np.full((1, 3), value, np.float32))
         with pytest.raises(DecodeError, match="found a point"):
             wire.decode(wire.encode_cloud(replace(made, cloud=cloud), calibration_crc32=0))
-    for pose, where in (((np.nan, 0, 0, 1, 0, 0, 0), "byte 56"), ((0, 0, 0, 0, 0, 0, 0), "byte 68")):
+    for pose, where in (
+        ((np.nan, 0, 0, 1, 0, 0, 0), "byte 56"),
+        ((0, 0, 0, 0, 0, 0, 0), "byte 68"),
+    ):
         payload = wire.encode_height(made, calibration_crc32=0, pose=Pose(0, *map(float, pose)))
         with pytest.raises(DecodeError, match=where):
             wire.decode(payload)
@@ -191,10 +241,14 @@ def test_numbers_that_no_sensor_has_are_refused() -> None:
 
 def test_a_map_has_a_cell_and_no_more_than_any_camera() -> None:
     for rows, cols in ((0, 0), (0, 7), (5, 0)):
-        payload = wire.encode_height(reconstruction(np.zeros((rows, cols), np.float32)), calibration_crc32=0)
+        payload = wire.encode_height(
+            reconstruction(np.zeros((rows, cols), np.float32)), calibration_crc32=0
+        )
         with pytest.raises(DecodeError, match="byte 32"):
             wire.decode(payload)
-    head = bytearray(wire.encode_height(reconstruction(np.zeros((1, 1), np.float32)), calibration_crc32=0))
+    head = bytearray(
+        wire.encode_height(reconstruction(np.zeros((1, 1), np.float32)), calibration_crc32=0)
+    )
     struct.pack_into("<2H", head, 32, 2048, 2049)
     with pytest.raises(DecodeError, match="4196352 cells"):
         wire.decode(head)

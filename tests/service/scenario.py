@@ -51,19 +51,32 @@ PLACES = (
 
 
 def files() -> list[str]:
-    found = (path for place in PLACES for path in Path(place).rglob("*") if path.is_file() or path.is_symlink())
+    found = (
+        path
+        for place in PLACES
+        for path in Path(place).rglob("*")
+        if path.is_file() or path.is_symlink()
+    )
     named = (str(path) for path in (*found, *Path("/usr/lib").glob("s*/**/tacshade-edge*")))
     return sorted(name for name in named if not name.startswith("/opt/python/"))
 
 
 def calibration() -> dict[str, str]:
     """Every one in the service's own folder."""
-    return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in STATE.rglob("*.npz")}
+    return {
+        str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in STATE.rglob("*.npz")
+    }
 
 
 def install_sh(*words: str) -> tuple[int, str]:
     """As root on a machine that has the packages at hand instead of a network."""
-    return sh(INSTALL, *words, PYTHON=f"/opt/python/bin/{sys.argv[1]}", PIP_NO_INDEX="1", PIP_FIND_LINKS="/wheels")
+    return sh(
+        INSTALL,
+        *words,
+        PYTHON=f"/opt/python/bin/{sys.argv[1]}",
+        PIP_NO_INDEX="1",
+        PIP_FIND_LINKS="/wheels",
+    )
 
 
 def apt(*words: str) -> tuple[int, str]:
@@ -74,7 +87,11 @@ def apt(*words: str) -> tuple[int, str]:
 def installed(unit: str) -> dict[str, Any]:
     """What systemd makes of the installation, and whose the settings are."""
     config = CONFIG.stat()
-    whose = config.st_uid, sh("id", "-g", "tacshade-edge")[1] == str(config.st_gid), oct(CONFIG.parent.stat().st_mode)
+    whose = (
+        config.st_uid,
+        sh("id", "-g", "tacshade-edge")[1] == str(config.st_gid),
+        oct(CONFIG.parent.stat().st_mode),
+    )
     verify, enabled = sh("systemd-analyze", "verify", unit), sh("systemctl", "is-enabled", UNIT)
     return {"verify": verify, "enabled": enabled, "access": whose, "owner": STATE.owner()}
 
@@ -95,7 +112,13 @@ def starts() -> dict[str, Any]:
     ready_s = time.monotonic() - began
     at_ready = show()
     now = until(streaming, 20)
-    return {"code": code, "ready_s": ready_s, "at_ready": at_ready, "now": now, "process": process(now["MainPID"])}
+    return {
+        "code": code,
+        "ready_s": ready_s,
+        "at_ready": at_ready,
+        "now": now,
+        "process": process(now["MainPID"]),
+    }
 
 
 def killed() -> dict[str, Any]:
@@ -171,7 +194,12 @@ def uninstalls() -> dict[str, Any]:
 def package_installs() -> dict[str, Any]:
     done = apt("install", str(OLDER))
     version = sh("tacshade-edge", "--version")
-    return {"done": done, "now": show(), "version": version, **installed(f"/usr/lib/systemd/system/{UNIT}")}
+    return {
+        "done": done,
+        "now": show(),
+        "version": version,
+        **installed(f"/usr/lib/systemd/system/{UNIT}"),
+    }
 
 
 def package_upgrades() -> dict[str, Any]:
@@ -181,9 +209,22 @@ def package_upgrades() -> dict[str, Any]:
     done = apt("install", str(NEWER))
     now = until(streaming, 20)
     proposed = Path(f"{CONFIG}.dpkg-dist").exists()
-    seen = {"before": before, "done": done, "now": now, "config": CONFIG.read_text(), "proposed": proposed}
-    seen |= {"changed": sh("dpkg", "--verify", "tacshade-edge")[1], "version": sh("tacshade-edge", "--version")}
-    return {**seen, "calibration": calibration(), "dropped": [path for path in files() if path.endswith("/dropped.py")]}
+    seen = {
+        "before": before,
+        "done": done,
+        "now": now,
+        "config": CONFIG.read_text(),
+        "proposed": proposed,
+    }
+    seen |= {
+        "changed": sh("dpkg", "--verify", "tacshade-edge")[1],
+        "version": sh("tacshade-edge", "--version"),
+    }
+    return {
+        **seen,
+        "calibration": calibration(),
+        "dropped": [path for path in files() if path.endswith("/dropped.py")],
+    }
 
 
 def clone_is_refused() -> dict[str, Any]:
@@ -194,7 +235,13 @@ def package_is_removed() -> dict[str, Any]:
     """While it runs."""
     done = apt("remove", "tacshade-edge")
     left = [path for path in files() if "tacshade" in path]
-    return {"done": done, "now": show(), "left": left, "config": CONFIG.read_text(), "calibration": calibration()}
+    return {
+        "done": done,
+        "now": show(),
+        "left": left,
+        "config": CONFIG.read_text(),
+        "calibration": calibration(),
+    }
 
 
 def package_is_purged() -> dict[str, Any]:
@@ -204,9 +251,26 @@ def package_is_purged() -> dict[str, Any]:
 
 
 def main() -> None:
-    clone = (installs, starts, killed, reloads, hangs, stops, camera_is_absent, configuration_is_bad)
-    package = (package_installs, package_upgrades, clone_is_refused, package_is_removed, package_is_purged)
-    report(*clone, *((package_is_refused, uninstalls, *package) if OLDER.exists() else (uninstalls,)))
+    clone = (
+        installs,
+        starts,
+        killed,
+        reloads,
+        hangs,
+        stops,
+        camera_is_absent,
+        configuration_is_bad,
+    )
+    package = (
+        package_installs,
+        package_upgrades,
+        clone_is_refused,
+        package_is_removed,
+        package_is_purged,
+    )
+    report(
+        *clone, *((package_is_refused, uninstalls, *package) if OLDER.exists() else (uninstalls,))
+    )
 
 
 if __name__ == "__main__":

@@ -34,7 +34,10 @@ def debians_python() -> str:
     ).stdout.strip()
     words = ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
     found = subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
-    owned = subprocess.run(["dpkg", "--status", "python3"], capture_output=True, check=False).returncode == 0
+    owned = (
+        subprocess.run(["dpkg", "--status", "python3"], capture_output=True, check=False).returncode
+        == 0
+    )
     return found if owned and architecture == "amd64" and found in RELEASES else ""
 
 
@@ -44,7 +47,16 @@ def built(folder: Path) -> Path | str:
         return "not an x86-64 Debian with its python3, of 3.11 or 3.13"
     if find_spec("uv") is None or find_spec("hatchling") is None:
         return "uv or hatchling is not installed"
-    words = ["-m", "tools.release.package_debian", "--machine", "x86_64", "--python", python, "--level", "1"]
+    words = [
+        "-m",
+        "tools.release.package_debian",
+        "--machine",
+        "x86_64",
+        "--python",
+        python,
+        "--level",
+        "1",
+    ]
     command = [sys.executable, *words, "--out", str(folder)]
     done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
     if "Failed to fetch" in done.stderr:
@@ -60,9 +72,15 @@ def make_older(package: Path, folder: Path) -> None:
     root = folder / "root"
     subprocess.run(["dpkg-deb", "--raw-extract", package, root], check=True)
     control = root / "DEBIAN/control"
-    control.write_text(control.read_text().replace(f"Version: {field(package, 'Version')}\n", f"Version: {OLDER}\n"))
+    control.write_text(
+        control.read_text().replace(
+            f"Version: {field(package, 'Version')}\n", f"Version: {OLDER}\n"
+        )
+    )
     (about,) = root.glob("opt/tacshade-edge/lib/*/site-packages/tacshade_edge-*.dist-info/METADATA")
-    about.write_text(about.read_text().replace(f"\nVersion: {version()}\n", f"\nVersion: {OLDER}\n"))
+    about.write_text(
+        about.read_text().replace(f"\nVersion: {version()}\n", f"\nVersion: {OLDER}\n")
+    )
     (about.parents[1] / "tacshade_edge/dropped.py").touch()
     with (root / CONFFILES[0]).open("a") as settings:
         settings.write("# as it was\n")
@@ -74,7 +92,9 @@ def make_older(package: Path, folder: Path) -> None:
 def copy_checkout(folder: Path) -> None:
     """The tree as a clone has it, as far as an installation needs it."""
     for name in ("systemd", "config", "tacshade_edge"):
-        shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     (folder / "tools/release").mkdir(parents=True)
     for name in ("pyproject.toml", "README.md", "LICENSE", "tools/release/version.py"):
         shutil.copy(CHECKOUT / name, folder / name)
@@ -101,7 +121,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path | str:
 def seen(made: Path | str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     if reason := cannot_boot():
         pytest.skip(reason)
-    return once_for_all_workers("the booted service", lambda: booted(tmp_path_factory.mktemp("boot"), made))
+    return once_for_all_workers(
+        "the booted service", lambda: booted(tmp_path_factory.mktemp("boot"), made)
+    )
 
 
 @pytest.fixture
@@ -112,7 +134,9 @@ def package(made: Path | str) -> Path:
 
 
 def field(package: Path, name: str) -> str:
-    field = subprocess.run(["dpkg-deb", "--field", package, name], capture_output=True, text=True, check=True)
+    field = subprocess.run(
+        ["dpkg-deb", "--field", package, name], capture_output=True, text=True, check=True
+    )
     return field.stdout.strip()
 
 
@@ -135,7 +159,10 @@ def test_uninstalling_leaves_nothing_but_what_it_says(seen: dict[str, Any]) -> N
     gone = seen["uninstalls"]
     assert gone["running"] == 0
     code, output = gone["done"]
-    assert (code, output) == (0, "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge")
+    assert (code, output) == (
+        0,
+        "uninstalled; kept: /var/lib/tacshade-edge (calibrations) and the user tacshade-edge",
+    )
     assert gone["again"] == gone["done"]
     assert gone["files"] == seen["installs"]["before"]
     assert gone["calibration"]
@@ -155,7 +182,9 @@ def test_it_becomes_ready_and_streams_unprivileged_within_its_limits(seen: dict[
     assert "0" not in process["Uid"].split()
     assert (int(process["CapEff"], 16), process["NoNewPrivs"], process["Seccomp"]) == (0, "1", "2")
     own_mb = int(process["RssAnon"].split()[0]) / 1024
-    assert own_mb < MEMORY_MAX_MB  # mapped libraries can be dropped and read again, so they do not exhaust the limit
+    assert (
+        own_mb < MEMORY_MAX_MB
+    )  # mapped libraries can be dropped and read again, so they do not exhaust the limit
     print(f"READY after {starts['ready_s']:.2f} s; own memory {own_mb:.0f} MB")
 
 
@@ -181,7 +210,9 @@ def test_the_watchdog_kills_a_process_whose_reconstruction_hangs(seen: dict[str,
     hangs = seen["hangs"]
     assert hangs["without"]["StatusText"] == "streaming, 0.0 frames/s"
     assert "Watchdog timeout" in hangs["journal"]
-    assert "daemon/pipeline.py" in hangs["journal"].split("Watchdog timeout")[-1], "it logs where each thread was"
+    assert "daemon/pipeline.py" in hangs["journal"].split("Watchdog timeout")[-1], (
+        "it logs where each thread was"
+    )
     assert streams(hangs["after"])
     assert int(hangs["after"]["NRestarts"]) == int(hangs["before"]["NRestarts"]) + 1
     assert hangs["seconds"] < WATCHDOG_S + stretched(20)
@@ -193,7 +224,11 @@ def test_a_stop_is_quick_and_clean(seen: dict[str, Any]) -> None:
     assert stops["code"] == 0
     assert stops["seconds"] < stretched(STOP_S)
     now = stops["now"]
-    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == ("inactive", "success", "0")
+    assert (now["ActiveState"], now["Result"], now["ExecMainStatus"]) == (
+        "inactive",
+        "success",
+        "0",
+    )
 
 
 def test_an_absent_camera_is_no_restart_loop(seen: dict[str, Any]) -> None:
@@ -216,13 +251,18 @@ def test_the_package_says_what_it_is(package: Path) -> None:
     python = debians_python()
     assert field(package, "Version").startswith(version().replace(".dev", "~dev"))
     assert field(package, "Depends").startswith(f"python3 (>= {python}~), ")
-    listed = subprocess.run(["dpkg-deb", "--contents", package], capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(
+        ["dpkg-deb", "--contents", package], capture_output=True, text=True, check=True
+    ).stdout
     rows = [line.split() for line in listed.splitlines()]
     assert {row[1] for row in rows} == {"root/root"}
     assert [row for row in rows if row[0][0] != "l" and "w" in (row[0][5], row[0][8])] == []
     names = {row[5].removeprefix(".") for row in rows}
     assert {f"/{name}" for name in CONFFILES} <= names
-    assert f"/opt/tacshade-edge/lib/python{python}/site-packages/tacshade_edge/inference/weights/fast.onnx" in names
+    assert (
+        f"/opt/tacshade-edge/lib/python{python}/site-packages/tacshade_edge/inference/weights/fast.onnx"
+        in names
+    )
     assert [name for name in names if name.endswith((".pyc", "direct_url.json"))] == []
 
 
@@ -239,7 +279,9 @@ def test_the_package_is_installed_and_enabled(package: Path, seen: dict[str, Any
     assert installs["version"] == [0, f"tacshade-edge {OLDER}"]
 
 
-def test_an_upgrade_restarts_it_with_its_settings_and_its_calibration(package: Path, seen: dict[str, Any]) -> None:
+def test_an_upgrade_restarts_it_with_its_settings_and_its_calibration(
+    package: Path, seen: dict[str, Any]
+) -> None:
     upgrades = seen["package_upgrades"]
     assert streams(upgrades["before"]), seen["journal"]
     code, output = upgrades["done"]

@@ -27,7 +27,10 @@ SENSOR, OTHER, DASHBOARD = "thumb", "foot", "dashboard"
 PAYLOAD = bytes(38_000)
 BURST = 1000  # of PAYLOAD: 38 MB
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,9 @@ def mosquitto(folder: Path, text: str, port: int, ca: Path | None) -> Iterator[S
     with (folder / "mosquitto.log").open("w") as log:
         process = subprocess.Popen([str(MOSQUITTO), "-c", str(path)], stderr=log)
     try:
-        wait_until(lambda: "running" in (folder / "mosquitto.log").read_text(), 10, "mosquitto runs")
+        wait_until(
+            lambda: "running" in (folder / "mosquitto.log").read_text(), 10, "mosquitto runs"
+        )
         yield Served(port, ca, process.pid)
     finally:
         process.terminate()
@@ -68,12 +73,25 @@ def filled_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """As its comments state, to serve other machines: TLS, passwords, ACL."""
     folder, port = tmp_path_factory.mktemp("filled_in"), free_port()
     key, certificate, passwords = folder / "server.key", folder / "server.crt", folder / "passwd"
-    options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
-    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
+    options = (
+        "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
+    )
+    names = [
+        "-addext",
+        "subjectAltName=IP:127.0.0.1",
+        "-keyout",
+        str(key),
+        "-out",
+        str(certificate),
+    ]
     subprocess.run(["openssl", *options.split(), *names], check=True, capture_output=True)
     passwords.touch(0o600)
     for user in (SENSOR, OTHER, DASHBOARD):
-        subprocess.run(["mosquitto_passwd", "-b", passwords, user, f"word of {user}"], check=True, capture_output=True)
+        subprocess.run(
+            ["mosquitto_passwd", "-b", passwords, user, f"word of {user}"],
+            check=True,
+            capture_output=True,
+        )
     text = (FILES / "mosquitto-tacshade.conf").read_text().replace("#: ", "")
     for old, new in (
         ("/etc/mosquitto/tacshade.passwd", passwords),
@@ -102,7 +120,9 @@ class User:
         if name is not None:
             self.client.username_pw_set(name, password or f"word of {name}")
         self.client.on_connect = lambda _c, _d, _f, reason, _p: self.connected.append(str(reason))
-        self.client.on_publish = lambda _c, _d, mid, reason, _p: self.acknowledged.update({mid: str(reason)})
+        self.client.on_publish = lambda _c, _d, mid, reason, _p: self.acknowledged.update(
+            {mid: str(reason)}
+        )
         self.client.on_subscribe = lambda *_: self._subscribed.set()
         self.client.on_message = lambda _c, _d, message: self.messages.append(message)
         self.client.connect("127.0.0.1", served.port)
@@ -131,7 +151,8 @@ class User:
 
 
 @pytest.mark.parametrize(
-    ("user", "password"), [(None, None), (SENSOR, "wrong"), (DASHBOARD, f"word of {SENSOR}"), ("somebody", None)]
+    ("user", "password"),
+    [(None, None), (SENSOR, "wrong"), (DASHBOARD, f"word of {SENSOR}"), ("somebody", None)],
 )
 def test_strangers_are_refused(filled_in: Served, user: str | None, password: str | None) -> None:
     with User(filled_in, user, password) as somebody:
@@ -167,19 +188,29 @@ def test_what_each_may_publish(filled_in: Served, user: str, topic: str, may: bo
 
 def test_what_each_may_see(filled_in: Served) -> None:
     """A subscription to everything shows what is allowed."""
-    with User(filled_in, SENSOR) as sensor, User(filled_in, OTHER) as other, User(filled_in, DASHBOARD) as dashboard:
+    with (
+        User(filled_in, SENSOR) as sensor,
+        User(filled_in, OTHER) as other,
+        User(filled_in, DASHBOARD) as dashboard,
+    ):
         for user in (other, dashboard):
             user.subscribe("#")
         sensor.publish(f"tacshade/{SENSOR}/state")
         dashboard.publish(f"tacshade/{SENSOR}/req/status")
         dashboard.publish(f"tacshade/{OTHER}/req/status")
         mine = {f"tacshade/{OTHER}/req/status"}
-        wait_until(lambda: mine <= other.topics() and mine <= dashboard.topics(), 10, "the last message")
+        wait_until(
+            lambda: mine <= other.topics() and mine <= dashboard.topics(), 10, "the last message"
+        )
         assert other.topics() == mine
-        assert dashboard.topics() == mine | {f"tacshade/{SENSOR}/{topic}" for topic in ("state", "req/status")}
+        assert dashboard.topics() == mine | {
+            f"tacshade/{SENSOR}/{topic}" for topic in ("state", "req/status")
+        }
 
 
-def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp_path: Path) -> None:
+def test_a_hand_its_fingers_and_a_dashboard_work_together(
+    filled_in: Served, tmp_path: Path
+) -> None:
     """Each part of the real daemon logs in as itself; the dashboard sees both fingers and gets answers."""
     cv2.imwrite(str(tmp_path / "touched.png"), TOUCHED)
     for user in (SENSOR, OTHER):
@@ -195,9 +226,8 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp
         for name, path in ((SENSOR, "touched.png"), (OTHER, "./touched.png"))
     ]
     config = tmp_path / "config.yaml"
-    common = (
-        f"hand_id: {OTHER}\nmqtt: {{host: 127.0.0.1, port: {filled_in.port}, {login(OTHER)}, ca_file: {filled_in.ca}}}"
-    )
+    mqtt = f"host: 127.0.0.1, port: {filled_in.port}, {login(OTHER)}, ca_file: {filled_in.ca}"
+    common = f"hand_id: {OTHER}\nmqtt: {{{mqtt}}}"
     config.write_text("\n".join([common, "sensors:", *fingers]) + "\n")
     topic = f"tacshade/hand/{OTHER}/objects"
     with User(filled_in, DASHBOARD) as dashboard:
@@ -208,12 +238,21 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(filled_in: Served, tmp
 
             def both() -> bool:
                 last = [m for m in list(dashboard.messages) if m.topic == topic][-1:]
-                return any({f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"} for m in last)
+                return any(
+                    {f.state for f in decode_hand(m.payload).fingers.values()} == {"contact"}
+                    for m in last
+                )
 
             wait_until(both, 30, "the hand reports both fingers")
-            wait_until(lambda: f"tacshade/{SENSOR}/state" in dashboard.topics(), 30, "the finger hears requests")
+            wait_until(
+                lambda: f"tacshade/{SENSOR}/state" in dashboard.topics(),
+                30,
+                "the finger hears requests",
+            )
             assert dashboard.publish(f"tacshade/{SENSOR}/req/status") == "Success"
-            wait_until(lambda: f"tacshade/{SENSOR}/res/status" in dashboard.topics(), 10, "an answer")
+            wait_until(
+                lambda: f"tacshade/{SENSOR}/res/status" in dashboard.topics(), 10, "an answer"
+            )
         finally:
             daemon.terminate()
             _, errors = daemon.communicate(timeout=patience(20))

@@ -23,7 +23,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.container]
 
 def done(*command: str | Path, **environment: str) -> str:
     """Run a command, which must succeed; return its output."""
-    found = subprocess.run(command, cwd=TREE, env=os.environ | environment, capture_output=True, text=True, check=False)
+    found = subprocess.run(
+        command, cwd=TREE, env=os.environ | environment, capture_output=True, text=True, check=False
+    )
     assert found.returncode == 0, (command, found.stdout[-2000:], found.stderr[-2000:])
     return found.stdout
 
@@ -34,7 +36,14 @@ def base(python: tuple[int, int]) -> Path:
     if not made.exists():
         made.parent.mkdir(exist_ok=True)
         part = made.with_suffix(".part.tar")
-        done("mmdebstrap", "--quiet", "--variant=minbase", "--include=python3,python3-venv", BASES[python], part)
+        done(
+            "mmdebstrap",
+            "--quiet",
+            "--variant=minbase",
+            "--include=python3,python3-venv",
+            BASES[python],
+            part,
+        )
         part.rename(made)
     return made
 
@@ -57,14 +66,35 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     try:
         done(*podman, "import", "--quiet", base(python), "localhost/base")
         # Without namespaces of its own, which not every machine lets a build have.
-        words = ("--isolation", "chroot", "--build-arg", "BASE=localhost/base", "--tag", "localhost/tacshade-edge")
-        words += ("--build-arg", f"TACSHADE_EDGE_VERSION={built_version}", "--file", "Containerfile")
-        words += ("--volume", f"{wheels}:/wheels:ro", "--volume", f"{folder}/pip.conf:/etc/pip.conf:ro")
+        words = (
+            "--isolation",
+            "chroot",
+            "--build-arg",
+            "BASE=localhost/base",
+            "--tag",
+            "localhost/tacshade-edge",
+        )
+        words += (
+            "--build-arg",
+            f"TACSHADE_EDGE_VERSION={built_version}",
+            "--file",
+            "Containerfile",
+        )
+        words += (
+            "--volume",
+            f"{wheels}:/wheels:ro",
+            "--volume",
+            f"{folder}/pip.conf:/etc/pip.conf:ro",
+        )
         done(*podman, "build", "--quiet", *words, ".")
         found = json.loads(done(*podman, "inspect", "localhost/tacshade-edge"))[0]
-        (folder / "version").write_text(built_version)  # a commit while it is built gives the tree another one
+        (folder / "version").write_text(
+            built_version
+        )  # a commit while it is built gives the tree another one
         (folder / "image.json").write_text(json.dumps(found["Config"]))
-        print(f"the image has {found['Size'] / 1e6:.0f} MB, its base {base(python).stat().st_size / 1e6:.0f} MB")
+        print(
+            f"the image has {found['Size'] / 1e6:.0f} MB, its base {base(python).stat().st_size / 1e6:.0f} MB"
+        )
         made = done(*podman, "create", "localhost/tacshade-edge").strip()
         (folder / "root").mkdir()
         done("sh", "-c", f'{" ".join(podman)} export {made} | tar -x -C "{folder}/root"')
@@ -80,7 +110,11 @@ def test_it_is_the_program_and_no_root(built: Path) -> None:
     assert (image["Entrypoint"], image["Cmd"]) == (["tacshade-edge"], ["run"])
     assert list(image["Volumes"]) == ["/var/lib/tacshade-edge"]
     found = done(
-        "chroot", "--userspec=10001:10001", built / "root", "/opt/tacshade-edge/bin/tacshade-edge", "--version"
+        "chroot",
+        "--userspec=10001:10001",
+        built / "root",
+        "/opt/tacshade-edge/bin/tacshade-edge",
+        "--version",
     )
     assert found == f"tacshade-edge {(built / 'version').read_text()}\n"
     assert not (built / "root/src").exists()

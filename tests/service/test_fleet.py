@@ -36,7 +36,9 @@ class Two:
         return [message.payload for message in list(self.heard) if message.topic == topic]
 
     def wait_for(self, topic: str, payload: bytes, seconds: float = 60) -> None:
-        wait_until(lambda: payload in self.of(topic), seconds, f"{payload!r} of {topic}: {self.of(topic)}")
+        wait_until(
+            lambda: payload in self.of(topic), seconds, f"{payload!r} of {topic}: {self.of(topic)}"
+        )
 
 
 @pytest.fixture
@@ -48,7 +50,9 @@ def two(tmp_path: Path) -> Iterator[Two]:
             broker = stack.enter_context(board(tmp_path, name, middle.port))
             at[name] = stack.enter_context(Subscriber(broker.port, "nothing"))
         heard: list[MQTTMessage] = []
-        stack.enter_context(CentralClient(tmp_path, people_port(tmp_path), heard.append, None, "tacshade/#"))
+        stack.enter_context(
+            CentralClient(tmp_path, people_port(tmp_path), heard.append, None, "tacshade/#")
+        )
         made = Two(tmp_path, middle, at, heard)
         for name in at:
             made.wait_for(f"tacshade/{name}/bridge", b"1")
@@ -57,10 +61,21 @@ def two(tmp_path: Path) -> Iterator[Two]:
 
 def test_summaries_go_up_frames_do_not_and_no_board_writes_as_another(two: Two) -> None:
     left = two.at["left"]
-    sent = ("state", "info", "status/camera", "event/slip", "map/revision", "contact", "touch", "health")
+    sent = (
+        "state",
+        "info",
+        "status/camera",
+        "event/slip",
+        "map/revision",
+        "contact",
+        "touch",
+        "health",
+    )
     for topic in (*sent, "height", "preview", "map/cloud", "req/profile"):
         left.publish(f"tacshade/left/{topic}", topic.encode(), retain=topic == "state")
-    left.publish("tacshade/right/state", b"from left")  # its own broker takes it, the central one does not
+    left.publish(
+        "tacshade/right/state", b"from left"
+    )  # its own broker takes it, the central one does not
     left.publish("tacshade/left/event/slip", b"the last")
     two.wait_for("tacshade/left/event/slip", b"the last")
     for topic in sent:
@@ -82,7 +97,9 @@ def test_summaries_go_up_frames_do_not_and_no_board_writes_as_another(two: Two) 
         stranger.recv(1)
 
 
-def test_events_outlast_a_central_broker_that_stalls_and_one_that_forgets_everything(two: Two) -> None:
+def test_events_outlast_a_central_broker_that_stalls_and_one_that_forgets_everything(
+    two: Two,
+) -> None:
     left = two.at["left"]
     left.publish("tacshade/left/state", b"online", retain=True)
     two.wait_for("tacshade/left/state", b"online")
@@ -104,4 +121,6 @@ def test_events_outlast_a_central_broker_that_stalls_and_one_that_forgets_everyt
     (two.folder / "mosquitto.db").unlink()
     two.heard.clear()
     two.central.start()
-    two.wait_for("tacshade/left/state", b"online")  # the board retains it, and sends it to a broker that knows nothing
+    two.wait_for(
+        "tacshade/left/state", b"online"
+    )  # the board retains it, and sends it to a broker that knows nothing

@@ -62,13 +62,17 @@ def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
 
 def install(root: Path, *words: str, **environment: str) -> str:
     environ = {"DESTDIR": str(root), "PATH": "/usr/bin:/bin", **environment}
-    done = subprocess.run([FILES / "install.sh", *words], env=environ, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [FILES / "install.sh", *words], env=environ, capture_output=True, text=True, check=True
+    )
     assert done.stderr == ""
     return done.stdout
 
 
 def tree(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()
+    }
 
 
 def test_install_twice_and_uninstall(tmp_path: Path) -> None:
@@ -111,7 +115,10 @@ def test_what_a_person_edited_is_kept(tmp_path: Path) -> None:
     assert tree(tmp_path) == {"etc/tacshade-edge/config.yaml": b"profile: paper\n"}
 
 
-FRAMES, FPS = 1_500, 150  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
+FRAMES, FPS = (
+    1_500,
+    150,
+)  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
 # Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at the end and at the
 # peak of 5000 frames. A kilobyte forgotten with each frame of these: 1.3 MB.
 RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 1.2

@@ -68,9 +68,15 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("source:\n  kind: v4l2\n  device: video0\n", ":3: source.device: found video0"),
         ("source:\n  kind: v4l2\n  fourcc: H264\n", ":3: source.fourcc: found H264"),
         ("profile: auto\n", ": latency_budget_ms: found nothing with profile auto"),
-        ("profile: auto\nlatency_budget_ms: null\n", ":2: latency_budget_ms: found nothing with profile auto"),
+        (
+            "profile: auto\nlatency_budget_ms: null\n",
+            ":2: latency_budget_ms: found nothing with profile auto",
+        ),
         ("profile: auto\nlatency_budget_ms: 0\n", ":2: latency_budget_ms: found 0"),
-        ("profile: fast\nlatency_budget_ms: 20\n", ":2: latency_budget_ms: found 20 with profile fast"),
+        (
+            "profile: fast\nlatency_budget_ms: 20\n",
+            ":2: latency_budget_ms: found 20 with profile fast",
+        ),
         ("serial:\n  baud: 9600\n", ": serial.device: found nothing"),
         ("serial:\n  device: ttyACM0\n", ":2: serial.device: found ttyACM0"),
         ("mqtt:\n  port: 1\n  port: 2\n", ":3: mqtt.port: found again"),
@@ -88,7 +94,10 @@ def write(folder: Path, text: str | bytes) -> Path:
         ("", ":1: found nothing"),
         ("\n- a\n", ":2: found a list"),
         ("a: " + "[" * 500, ": found YAML that is nested too deeply"),
-        ("[" + "0," * 100_000 + "0]", ":1: not valid YAML here: more than 10000 values, expected a settings file"),
+        (
+            "[" + "0," * 100_000 + "0]",
+            ":1: not valid YAML here: more than 10000 values, expected a settings file",
+        ),
         ("#" * (1 << 20) + "\n", ": found more than 1048576 bytes"),
     ],
 )
@@ -106,7 +115,8 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, text: str | bytes,
         st.recursive(
             st.integers(-1, 1) | st.text("a`", max_size=2),
             lambda inner: (
-                st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["kind", "path", "a`.b"]), inner)
+                st.lists(inner, max_size=2)
+                | st.dictionaries(st.sampled_from(["kind", "path", "a`.b"]), inner)
             ),
         ),
         max_size=3,
@@ -127,7 +137,9 @@ def test_the_mistake_of_any_mapping_is_a_single_line(
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.yaml: No such file or directory, expected a settings file"):
+    with pytest.raises(
+        ConfigError, match=r"none\.yaml: No such file or directory, expected a settings file"
+    ):
         load(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match=r"Is a directory, expected a settings file"):
         load(tmp_path)
@@ -145,7 +157,9 @@ def test_the_default_file_is_the_defaults_and_names_every_key() -> None:
     document = load(DEFAULT)
     assert document.settings == Settings()
     written = yaml.safe_load(DEFAULT.read_text())
-    assert written == msgspec.to_builtins(Settings())  # a key that the file leaves out would differ here
+    assert written == msgspec.to_builtins(
+        Settings()
+    )  # a key that the file leaves out would differ here
     assert list(written) == list(msgspec.to_builtins(Settings()))
 
 
@@ -177,7 +191,10 @@ def test_a_relative_path_counts_from_the_files_folder(tmp_path: Path) -> None:
     assert settings.calibration == str(tmp_path / "c.npz")
     assert settings.source == Files(path=str(tmp_path / "x"))
     assert (settings.mqtt.password_file, settings.mqtt.ca_file) == (str(tmp_path / "p"), "/abs/ca")
-    assert (settings.recorder.folder, settings.stitching.folder) == (str(tmp_path / "r"), str(tmp_path / "s"))
+    assert (settings.recorder.folder, settings.stitching.folder) == (
+        str(tmp_path / "r"),
+        str(tmp_path / "s"),
+    )
 
 
 def test_where_names_the_line_of_a_key_or_only_the_file(tmp_path: Path) -> None:
@@ -194,7 +211,12 @@ def test_the_digest_distinguishes_settings() -> None:
 
 def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> list[str]:
     """Where `value` breaks `schema`, by the keywords that our schema uses."""
-    types: dict[str, tuple[type, ...]] = {"object": (dict,), "string": (str,), "integer": (int,), "null": (type(None),)}
+    types: dict[str, tuple[type, ...]] = {
+        "object": (dict,),
+        "string": (str,),
+        "integer": (int,),
+        "null": (type(None),),
+    }
     types |= {"number": (int, float), "boolean": (bool,), "array": (list,)}
     errors = []
     if "$ref" in schema:
@@ -206,8 +228,16 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
         errors.append("no option")
     if "type" in schema and not isinstance(value, types[schema["type"]]):
         return ["type"]
-    within = schema.get("minimum", value) <= value <= schema.get("maximum", value) if "maximum" in schema else True
-    length = schema.get("minItems", schema.get("minProperties", 0)) <= len(value) if hasattr(value, "__len__") else True
+    within = (
+        schema.get("minimum", value) <= value <= schema.get("maximum", value)
+        if "maximum" in schema
+        else True
+    )
+    length = (
+        schema.get("minItems", schema.get("minProperties", 0)) <= len(value)
+        if hasattr(value, "__len__")
+        else True
+    )
     if (
         not within
         or not length
@@ -219,7 +249,11 @@ def schema_errors(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> l
         errors.append("pattern")
     if isinstance(value, dict):
         errors += [f"no {k}" for k in schema.get("required", ()) if k not in value]
-        rest = {"not": {}} if schema.get("additionalProperties") is False else schema.get("additionalProperties", {})
+        rest = (
+            {"not": {}}
+            if schema.get("additionalProperties") is False
+            else schema.get("additionalProperties", {})
+        )
         for k, v in value.items():
             of_key = schema.get("properties", {}).get(k, rest)
             errors += [f"unknown {k}"] if "not" in of_key else schema_errors(of_key, v, root)
@@ -232,11 +266,23 @@ def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None
     good = yaml.safe_load(DEFAULT.read_text())
     assert schema_errors(schema, good, schema) == []
     assert schema_errors(schema, yaml.safe_load(uncommented("files")), schema) == []
-    assert schema_errors(schema, good | {"profile": "auto", "latency_budget_ms": 20.5}, schema) == []
+    assert (
+        schema_errors(schema, good | {"profile": "auto", "latency_budget_ms": 20.5}, schema) == []
+    )
     assert schema_errors(schema, yaml.safe_load(uncommented("rpicam")), schema) == []
     for wrong in (
-        *({"x": 1}, {"mqtt": {"port": 0}}, {"profile": "slow"}, {"source": {"kind": "usb"}}, {"mqtt": None}),
-        *({"profile": "auto"}, {"latency_budget_ms": 20}, {"profile": "auto", "latency_budget_ms": 0}),
+        *(
+            {"x": 1},
+            {"mqtt": {"port": 0}},
+            {"profile": "slow"},
+            {"source": {"kind": "usb"}},
+            {"mqtt": None},
+        ),
+        *(
+            {"profile": "auto"},
+            {"latency_budget_ms": 20},
+            {"profile": "auto", "latency_budget_ms": 0},
+        ),
     ):
         assert schema_errors(schema, good | wrong, schema), wrong
 
@@ -246,12 +292,30 @@ def test_the_schema_of_files_takes_one_sensor_and_several() -> None:
     finger = sensor | {"hand_T_sensor": [0, 0, 0, 1, 0, 0, 0]}
     assert schema_errors(schema, {"hand_id": "left", "sensors": {"a": finger}}, schema) == []
     assert schema_errors(schema, yaml.safe_load(DEFAULT.read_text()), schema) == []
-    assert schema_errors(schema, {"sensors": {"a": sensor, "b": sensor | {"profile": "fast"}}}, schema) == []
+    assert (
+        schema_errors(schema, {"sensors": {"a": sensor, "b": sensor | {"profile": "fast"}}}, schema)
+        == []
+    )
     for wrong in (
-        *({"sensors": {}}, {"sensors": {"a b": sensor}}, {"sensors": {"a": {"source": {"kind": "simulated"}}}}),
-        *({"sensors": {"a": sensor}, "source": None}, {"sensors": {"a": sensor | {"sensor_id": "b"}}}, {"x": 1}),
-        *({"hand_id": "left"}, {"hand_T_sensor": finger["hand_T_sensor"]}, {"sensors": {"a": finger}}),
-        *({"hand_id": "left", "sensors": {"a": sensor}}, {"hand_id": "a b", "sensors": {"a": finger}}),
+        *(
+            {"sensors": {}},
+            {"sensors": {"a b": sensor}},
+            {"sensors": {"a": {"source": {"kind": "simulated"}}}},
+        ),
+        *(
+            {"sensors": {"a": sensor}, "source": None},
+            {"sensors": {"a": sensor | {"sensor_id": "b"}}},
+            {"x": 1},
+        ),
+        *(
+            {"hand_id": "left"},
+            {"hand_T_sensor": finger["hand_T_sensor"]},
+            {"sensors": {"a": finger}},
+        ),
+        *(
+            {"hand_id": "left", "sensors": {"a": sensor}},
+            {"hand_id": "a b", "sensors": {"a": finger}},
+        ),
         {"hand_id": "left", "sensors": {"a": finger | {"hand_T_sensor": [0, 0, 0]}}},
     ):
         assert schema_errors(schema, wrong, schema), wrong
@@ -279,7 +343,9 @@ def test_a_pipe_as_settings_does_not_hang(tmp_path: Path) -> None:
         ("kind: v4l2, fps: 30, exposure: 334", ":1: source.exposure: found 334"),
     ],
 )
-def test_an_exposure_that_is_longer_than_a_frame_is_refused(tmp_path: Path, source: str, said: str) -> None:
+def test_an_exposure_that_is_longer_than_a_frame_is_refused(
+    tmp_path: Path, source: str, said: str
+) -> None:
     path = write(tmp_path, f"source: {{{source}}}\n")
     if not said:
         load(path)

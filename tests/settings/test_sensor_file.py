@@ -20,7 +20,9 @@ def sensor_file(folder: Path, text: str) -> Path:
 
 def test_the_least_that_must_be_said_and_its_defaults(tmp_path: Path) -> None:
     sensor = read_sensor(sensor_file(tmp_path, LEAST))
-    assert sensor == Sensor(20.0, None, 50.0, "bright", 15.0, None, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), None)
+    assert sensor == Sensor(
+        20.0, None, 50.0, "bright", 15.0, None, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), None
+    )
 
 
 def test_everything_that_can_be_said(tmp_path: Path) -> None:
@@ -52,7 +54,10 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
         (LEAST.replace("20", ".nan"), r":1: skin_radius_mm: found \.nan"),
         (LEAST.replace("bright", "up"), r":3: polarity: found up"),
         (LEAST + "flange_T_sensor: [0, 0, x, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.2: found x"),
-        (LEAST + "flange_T_sensor: [0, {}, 0, 1, 0, 0, 0]\n", r":4: flange_T_sensor\.1: found a mapping"),
+        (
+            LEAST + "flange_T_sensor: [0, {}, 0, 1, 0, 0, 0]\n",
+            r":4: flange_T_sensor\.1: found a mapping",
+        ),
         (
             LEAST + "flange_T_sensor: [0, 1.0e+300, 0, 1, 0, 0, 0]\n",
             r":4: flange_T_sensor: found a place 1e\+300 mm away",
@@ -62,8 +67,14 @@ def test_everything_that_can_be_said(tmp_path: Path) -> None:
             LEAST + "flange_T_sensor: [0, 0, 0, 1, 1, 0, 0]\n",
             r":4: flange_T_sensor: found a quaternion of length 1\.41",
         ),
-        (LEAST + "visible_circle: {row_px: 1, col_px: 2}\n", r": visible_circle\.radius_px: found nothing"),
-        (LEAST + "visible_circle: {row_px: 1, col_px: 2, radius_px: 2}\n", r":4: visible_circle\.radius_px: found 2"),
+        (
+            LEAST + "visible_circle: {row_px: 1, col_px: 2}\n",
+            r": visible_circle\.radius_px: found nothing",
+        ),
+        (
+            LEAST + "visible_circle: {row_px: 1, col_px: 2, radius_px: 2}\n",
+            r":4: visible_circle\.radius_px: found 2",
+        ),
         (LEAST + "visible_circle: 205\n", r":4: visible_circle: found 205"),
         (LEAST + "print: {pin_length_mm: 0}\n", r":4: print\.pin_length_mm: found 0"),
     ],
@@ -76,7 +87,12 @@ def test_a_wrong_sensor_is_named_by_line_and_key(tmp_path: Path, text: str, said
 
 def test_a_typed_value_is_checked_like_the_file(tmp_path: Path) -> None:
     assert [check_value("skin_radius_mm", "20"), check_value("polarity", "dark")] == [20, "dark"]
-    for key, text in (("skin_radius_mm", "0.02"), ("skin_radius_mm", ""), ("polarity", "1"), ("skin_radius_mm", "nan")):
+    for key, text in (
+        ("skin_radius_mm", "0.02"),
+        ("skin_radius_mm", ""),
+        ("polarity", "1"),
+        ("skin_radius_mm", "nan"),
+    ):
         with pytest.raises(ConfigError, match=f"^{key}: found {text or 'nothing'}"):
             check_value(key, text)
 
@@ -84,13 +100,20 @@ def test_a_typed_value_is_checked_like_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("[1, 2, 3]", "found a list of 3, expected a list of 7 numbers (x_mm, y_mm, z_mm, qw, qx, qy, qz)"),
+        (
+            "[1, 2, 3]",
+            "found a list of 3, expected a list of 7 numbers (x_mm, y_mm, z_mm, qw, qx, qy, qz)",
+        ),
         ("1", "found 1, expected a list of 7 numbers (x_mm, y_mm, z_mm, qw, qx, qy, qz)"),
     ],
 )
-def test_where_the_sensor_is_on_the_flange_is_seven_numbers(tmp_path: Path, given: str, said: str) -> None:
+def test_where_the_sensor_is_on_the_flange_is_seven_numbers(
+    tmp_path: Path, given: str, said: str
+) -> None:
     path = tmp_path / "SENSOR.yaml"
-    path.write_text(f"flange_T_sensor: {given}\nskin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n")
+    path.write_text(
+        f"flange_T_sensor: {given}\nskin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
+    )
     with pytest.raises(ConfigError) as caught:
         read_sensor(path)
     assert str(caught.value) == f"{path}:1: flange_T_sensor: {said}"

@@ -39,13 +39,22 @@ def test_what_all_have_with_what_each_has_over_it(tmp_path: Path) -> None:
     thumb, index = (document.settings for document in load_all(write(tmp_path, TWO)))
     assert (thumb.sensor_id, thumb.profile, thumb.source) == ("thumb", "fast", Simulated(fps=20))
     assert (index.sensor_id, index.profile, index.source) == ("index", "accurate", Rpicam(camera=1))
-    assert [(s.mqtt.host, s.mqtt.username) for s in (thumb, index)] == [("board", "hand"), ("board", "index")]
-    assert (thumb.calibration, index.calibration) == (str(tmp_path / "t.npz"), str(tmp_path / "i.npz"))
+    assert [(s.mqtt.host, s.mqtt.username) for s in (thumb, index)] == [
+        ("board", "hand"),
+        ("board", "index"),
+    ]
+    assert (thumb.calibration, index.calibration) == (
+        str(tmp_path / "t.npz"),
+        str(tmp_path / "i.npz"),
+    )
 
 
 def test_folders_of_all_have_one_below_for_each_and_its_own_are_as_they_are(tmp_path: Path) -> None:
     thumb, index = (document.settings for document in load_all(write(tmp_path, TWO)))
-    assert (thumb.recorder.folder, index.recorder.folder) == (f"{tmp_path}/recs/thumb", f"{tmp_path}/recs/index")
+    assert (thumb.recorder.folder, index.recorder.folder) == (
+        f"{tmp_path}/recs/thumb",
+        f"{tmp_path}/recs/index",
+    )
     assert thumb.stitching.folder == "/var/lib/tacshade-edge/sessions/thumb"
     assert index.stitching.folder == f"{tmp_path}/maps"
 
@@ -56,7 +65,8 @@ def test_one_of_them_is_taken_by_its_id(tmp_path: Path) -> None:
     assert load(path, "index").where("source", "camera") == f"{path}:8: sensors.index.source.camera"
     assert load(path, "thumb").where("mqtt", "host") == f"{path}:2: mqtt.host"
     with pytest.raises(
-        ConfigError, match="found several sensors but no --sensor, expected --sensor with one of thumb, index"
+        ConfigError,
+        match="found several sensors but no --sensor, expected --sensor with one of thumb, index",
     ):
         load(path)
     with pytest.raises(ConfigError, match=r"--sensor: found ring"):
@@ -74,7 +84,10 @@ GOOD_SENSOR = "{calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}"
         ("sensors: [a]\n", "1: sensors: found a list"),
         ("calibration: c.npz\nsensors: {a: {}}\n", "1: calibration: found beside sensors"),
         (f"mqtt: {{port: 0}}\nsensors:\n  a: {GOOD_SENSOR}\n", "1: mqtt.port: found 0"),
-        (f"sensors:\n  a: {GOOD_SENSOR}\n  b: {GOOD_SENSOR}\n", "3: sensors.b.calibration: found the same as in "),
+        (
+            f"sensors:\n  a: {GOOD_SENSOR}\n  b: {GOOD_SENSOR}\n",
+            "3: sensors.b.calibration: found the same as in ",
+        ),
         (
             f"sensors:\n  a: {GOOD_SENSOR}\n  b: {GOOD_SENSOR.replace('t.npz', 'b.npz')}\n",
             "3: sensors.b.source: found the same as in sensors.a.source",
@@ -83,7 +96,10 @@ GOOD_SENSOR = "{calibration: t.npz, source: {kind: v4l2, device: /dev/video0}}"
         ("sensors:\n  a: {sensor_id: b}\n", "2: sensors.a.sensor_id: found a second id"),
         ("sensors:\n  a: {source: {kind: simulated}}\n", " sensors.a.calibration: found nothing"),
         ("sensors:\n  a:\n", "2: sensors.a: found nothing"),
-        (f"sensors:\n  a: {GOOD_SENSOR.replace('}}', '}, profile: slow}')}\n", "2: sensors.a.profile: found slow"),
+        (
+            f"sensors:\n  a: {GOOD_SENSOR.replace('}}', '}, profile: slow}')}\n",
+            "2: sensors.a.profile: found slow",
+        ),
     ],
 )
 def test_a_mistake_among_several_has_its_line(tmp_path: Path, text: str, said: str) -> None:
@@ -115,26 +131,52 @@ def test_a_hand_has_its_own_broker_settings_and_each_finger_its_place(tmp_path: 
     assert hand is not None
     assert (hand.hand_id, hand.fingers) == ("left", ("thumb", "index"))
     mqtt = hand.common.settings.mqtt
-    assert (mqtt.host, mqtt.username, mqtt.password_file) == ("board", "left", str(tmp_path / "left.password"))
+    assert (mqtt.host, mqtt.username, mqtt.password_file) == (
+        "board",
+        "left",
+        str(tmp_path / "left.password"),
+    )
     assert hand.common.where("mqtt", "username") == f"{path}:2: mqtt.username"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]", "", " sensors.thumb.hand_T_sensor: found nothing"),
+        (
+            ", hand_T_sensor: [1, 2.5, -3, 1, 0, 0, 0]",
+            "",
+            " sensors.thumb.hand_T_sensor: found nothing",
+        ),
         ("[1, 2.5, -3, 1, 0, 0, 0]", "null", "4: sensors.thumb.hand_T_sensor: found nothing"),
         ("-3, 1, 0, 0, 0]", "1, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a list of 6"),
-        ("-3, 1, 0, 0, 0]", "-3, 2, 0, 0, 0]", "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex"),
-        ("[0, 0, 90,", "[0, 0, 9.0e+7,", "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away"),
+        (
+            "-3, 1, 0, 0, 0]",
+            "-3, 2, 0, 0, 0]",
+            "4: sensors.thumb.hand_T_sensor: found a quaternion of length 2, ex",
+        ),
+        (
+            "[0, 0, 90,",
+            "[0, 0, 9.0e+7,",
+            "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away",
+        ),
         ("[0, 0, 90,", "[0, 0, up,", "9: sensors.index.hand_T_sensor.2: found up"),
         ("hand_id: left\n", "", "3: sensors.thumb.hand_T_sensor: found it without hand_id"),
         ("hand_id: left\n", "hand_id: my hand\n", "1: hand_id: found my hand"),
-        ("    mqtt: {", "    hand_id: right\n    mqtt: {", "8: sensors.index.hand_id: found in a sensor"),
-        ("sensors:\n", "hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]\nsensors:\n", "3: hand_T_sensor: found beside sensors"),
+        (
+            "    mqtt: {",
+            "    hand_id: right\n    mqtt: {",
+            "8: sensors.index.hand_id: found in a sensor",
+        ),
+        (
+            "sensors:\n",
+            "hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]\nsensors:\n",
+            "3: hand_T_sensor: found beside sensors",
+        ),
     ],
 )
-def test_what_is_wrong_with_a_hand_has_its_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_what_is_wrong_with_a_hand_has_its_line(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
     assert old in HAND
     path = write(tmp_path, HAND.replace(old, new))
     with pytest.raises(ConfigError) as caught:
@@ -156,11 +198,15 @@ def test_one_sensor_is_no_hand(tmp_path: Path, text: str, said: str) -> None:
 
 
 def test_a_robots_line_is_shared_and_one_may_have_its_own_or_none(tmp_path: Path) -> None:
-    path = write(tmp_path, f"serial: {{device: /dev/ttyACM0, baud: 460800}}\n{TWO}    serial: null\n")
+    path = write(
+        tmp_path, f"serial: {{device: /dev/ttyACM0, baud: 460800}}\n{TWO}    serial: null\n"
+    )
     thumb, index = (document.settings for document in load_all(path))
     assert thumb.serial == Serial(device="/dev/ttyACM0", baud=460800)
     assert index.serial is None
-    path = write(tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{device: /dev/ttyACM1}}\n")
+    path = write(
+        tmp_path, f"serial: {{device: /dev/ttyACM0}}\n{TWO}    serial: {{device: /dev/ttyACM1}}\n"
+    )
     assert [document.settings.serial for document in load_all(path)] == [
         Serial(device="/dev/ttyACM0"),
         Serial(device="/dev/ttyACM1"),
@@ -185,7 +231,14 @@ FILES: list[tuple[str, Callable[[Path], object]]] = [
 @pytest.mark.parametrize(
     ("number", "meant"),
     [
-        *(("0115200", 39552), ("-017", -15), ("020.5", 20.5), ("1_000", 1000), ("0x28", 40), ("1:30", 90)),
+        *(
+            ("0115200", 39552),
+            ("-017", -15),
+            ("020.5", 20.5),
+            ("1_000", 1000),
+            ("0x28", 40),
+            ("1:30", 90),
+        ),
     ],
 )
 def test_a_number_that_yaml_reads_in_its_own_way_is_refused(
@@ -203,12 +256,30 @@ def test_a_number_that_yaml_reads_in_its_own_way_is_refused(
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        *(("3e1", 30), ("3E+1", 30), ("2.5e1", 25), ("-.5", -0.5), ("1.", 1), ("+7", 7), ("0", 0), ("-0.0", 0)),
+        *(
+            ("3e1", 30),
+            ("3E+1", 30),
+            ("2.5e1", 25),
+            ("-.5", -0.5),
+            ("1.", 1),
+            ("+7", 7),
+            ("0", 0),
+            ("-0.0", 0),
+        ),
         *(("1e-3", 0.001), ("1.0e-05", 1e-5), ("0.5", 0.5)),
-        *(("'3e1'", "3e1"), ("'040'", "040"), ("080", "080"), ("1e", "1e"), ("e1", "e1"), ("٣", "٣")),
+        *(
+            ("'3e1'", "3e1"),
+            ("'040'", "040"),
+            ("080", "080"),
+            ("1e", "1e"),
+            ("e1", "e1"),
+            ("٣", "٣"),
+        ),
     ],
 )
-def test_plain_decimals_are_numbers_and_quoted_ones_are_text(tmp_path: Path, text: str, value: object) -> None:
+def test_plain_decimals_are_numbers_and_quoted_ones_are_text(
+    tmp_path: Path, text: str, value: object
+) -> None:
     path = tmp_path / "any.yaml"
     path.write_text(f"a: {text}\n", encoding="utf-8")
     found = strict_yaml.read(path).value
@@ -217,7 +288,9 @@ def test_plain_decimals_are_numbers_and_quoted_ones_are_text(tmp_path: Path, tex
 
 
 @given(st.one_of(st.integers(), st.floats(allow_nan=False, allow_infinity=False)))
-def test_every_number_that_python_writes_comes_back(tmp_path_factory: pytest.TempPathFactory, number: float) -> None:
+def test_every_number_that_python_writes_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, number: float
+) -> None:
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_text(f"a: {number!r}\n")
     assert strict_yaml.read(path).value == {"a": number}

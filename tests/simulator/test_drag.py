@@ -28,7 +28,10 @@ def dragged(model: SensorModel, *presses: Press) -> Skin:
 
 def surface(skin: Skin, x_mm: F64, y_mm: F64) -> F64:
     """Points (N, 3) of the skin at chart coordinates."""
-    return chart_to_direction(x_mm, y_mm, skin.radius_mm) * (skin.radius_mm - skin.sample(x_mm, y_mm))[:, None]
+    return (
+        chart_to_direction(x_mm, y_mm, skin.radius_mm)
+        * (skin.radius_mm - skin.sample(x_mm, y_mm))[:, None]
+    )
 
 
 def flat_problem(radius: float, depth: float, size: int = 141) -> F32:
@@ -40,7 +43,9 @@ def flat_problem(radius: float, depth: float, size: int = 141) -> F32:
 def pull(h: F32, mass: float) -> F32:
     """(4 + m) h less the sum of the neighbours; 0 on the border."""
     result = np.zeros_like(h)
-    result[1:-1, 1:-1] = (4 + mass) * h[1:-1, 1:-1] - (h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:])
+    result[1:-1, 1:-1] = (4 + mass) * h[1:-1, 1:-1] - (
+        h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
+    )
     return result
 
 
@@ -51,7 +56,9 @@ def test_the_traction_is_the_difference_of_two_pressures(friction: float) -> Non
     obstacle, mass, shift = flat_problem(80.0, 4.0), np.full((141, 141), 0.05, np.float32), 1.5
     deep = solve(np.maximum(obstacle, 0), mass)
     shallow = solve(np.maximum(obstacle - shift / friction, 0), mass)
-    limit = np.where(deep <= np.maximum(obstacle, 0) + 1e-4, friction * np.maximum(pull(deep, 0.05), 0), 0)
+    limit = np.where(
+        deep <= np.maximum(obstacle, 0) + 1e-4, friction * np.maximum(pull(deep, 0.05), 0), 0
+    )
     limit[obstacle <= 0] = 0
     held = np.zeros((2, 141, 141), np.float32)
     held[0][limit > 0] = shift
@@ -62,13 +69,17 @@ def test_the_traction_is_the_difference_of_two_pressures(friction: float) -> Non
 
 @pytest.mark.parametrize("name", ["ball", "cube", "ring"])
 def test_skin_that_sticks_goes_with_the_object(name: str) -> None:
-    press = Press(OBJECTS[name](), 2.0, -1.0, 3.0, 20.0, drag_x_mm=1.2, drag_y_mm=-0.8, twist_deg=5.0)
+    press = Press(
+        OBJECTS[name](), 2.0, -1.0, 3.0, 20.0, drag_x_mm=1.2, drag_y_mm=-0.8, twist_deg=5.0
+    )
     frame = SimulatedSensor(STICKY).frame((press,))
     truth = frame.truth()
     rows, cols = np.nonzero(truth.contact)
     moved = frame.shear_mm(rows.astype(float), cols.astype(float))
     here = truth.points_mm[:, :2].astype(float)
-    upright = SimulatedSensor(STICKY).frame((replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0),))
+    upright = SimulatedSensor(STICKY).frame(
+        (replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0),)
+    )
     pressed = upright.shear_mm(rows.astype(float), cols.astype(float))
     off = np.linalg.norm(moved - pressed - (here - press.before_drag(here)), axis=1)
     assert frame.skin.stuck[0] > 0.9
@@ -77,7 +88,10 @@ def test_skin_that_sticks_goes_with_the_object(name: str) -> None:
 
 
 def test_more_drag_sticks_less_and_what_is_not_dragged_is_as_it_was() -> None:
-    stuck = [dragged(SensorModel(), Press(ball(), 1.0, 0.0, 3.0, drag_x_mm=d)).stuck[0] for d in (0.5, 1.5, 3.0, 6.0)]
+    stuck = [
+        dragged(SensorModel(), Press(ball(), 1.0, 0.0, 3.0, drag_x_mm=d)).stuck[0]
+        for d in (0.5, 1.5, 3.0, 6.0)
+    ]
     assert stuck == sorted(stuck, reverse=True)
     assert stuck[0] > 0.7
     assert stuck[-1] == 0.0
@@ -109,18 +123,31 @@ def test_a_dome_full_of_gel_keeps_its_volume() -> None:
     chart = 2 * model.skin_radius_mm * np.tan(axis / 2)
     assert skin.leaning_mm is not None
     out = -(skin.sample(chart, 0 * chart) - skin.sample_pressed(chart, 0 * chart))
-    volume = 2 * math.pi * model.skin_radius_mm**2 * float(np.sum(out * np.sin(axis))) * (axis[1] - axis[0])
+    volume = (
+        2
+        * math.pi
+        * model.skin_radius_mm**2
+        * float(np.sum(out * np.sin(axis)))
+        * (axis[1] - axis[0])
+    )
     cap = math.pi * 4.0**2 * (3 * model.skin_radius_mm - 4.0) / 3
-    assert volume == pytest.approx(cap, rel=0.25)  # h counts along the radius, which a cap of 4 mm is small for
+    assert volume == pytest.approx(
+        cap, rel=0.25
+    )  # h counts along the radius, which a cap of 4 mm is small for
     assert out.min() > -1e-6
     assert out.max() > 0.5
     assert max(abs(out[0]), abs(out[-1])) < 1e-4
-    assert dragged(replace(model, bulge=0.0), Press(OBJECTS["plate"](), 0.0, 0.0, 4.0)).leaning_mm is None
+    assert (
+        dragged(replace(model, bulge=0.0), Press(OBJECTS["plate"](), 0.0, 0.0, 4.0)).leaning_mm
+        is None
+    )
 
 
 def test_what_is_drawn_is_what_is_true() -> None:
     # Material carried forward by the renderer is, by the truth, displaced by as much.
-    skin = dragged(SensorModel(), Press(OBJECTS["cube"](), 2.0, 1.0, 3.0, 20.0, drag_x_mm=2.0, twist_deg=8.0))
+    skin = dragged(
+        SensorModel(), Press(OBJECTS["cube"](), 2.0, 1.0, 3.0, 20.0, drag_x_mm=2.0, twist_deg=8.0)
+    )
     rng = np.random.default_rng(3)
     chart = rng.uniform(-11, 11, (500, 2))
     direction, now = carried(skin, chart, 0.9)
@@ -147,7 +174,15 @@ def test_no_drag_folds_the_skin_or_moves_it_further_than_the_object(
     coulomb: float, sway: float, decay_mm: float,
 ) -> None:  # fmt: skip
     model = SensorModel(coulomb=coulomb, sway=sway, drag_decay_mm=decay_mm)
-    press = Press(OBJECTS[name](), x_mm, 1.0, depth_mm, drag_x_mm=drag_x_mm, drag_y_mm=drag_y_mm, twist_deg=twist_deg)
+    press = Press(
+        OBJECTS[name](),
+        x_mm,
+        1.0,
+        depth_mm,
+        drag_x_mm=drag_x_mm,
+        drag_y_mm=drag_y_mm,
+        twist_deg=twist_deg,
+    )
     skin = dragged(model, press)
     assert np.isfinite(skin.height_mm).all()
     if skin.origin_mm is None:

@@ -37,13 +37,17 @@ THREE = three_fingers()
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
 @given(one=POINTS, other=POINTS)
-def test_a_ray_may_step_by_a_distance(body: Shape, one: tuple[float, ...], other: tuple[float, ...]) -> None:
+def test_a_ray_may_step_by_a_distance(
+    body: Shape, one: tuple[float, ...], other: tuple[float, ...]
+) -> None:
     p = np.array((one, other))
     a, b = body.sdf(p)
     assert abs(a - b) <= np.linalg.norm(p[0] - p[1]) + 1e-5
 
 
-def over(body: Shape, rotation: tuple[float, ...], depth_mm: float, aside_mm: tuple[float, float]) -> Rigid:
+def over(
+    body: Shape, rotation: tuple[float, ...], depth_mm: float, aside_mm: tuple[float, float]
+) -> Rigid:
     """``sensor_T_object`` of a body that is turned at will, so deep over a place near the tip."""
     turned = turn(rotation)
     x, y = aside_mm
@@ -61,14 +65,22 @@ def over(body: Shape, rotation: tuple[float, ...], depth_mm: float, aside_mm: tu
 def skin_points() -> F64:
     angle, z = np.meshgrid(np.linspace(0, 2 * math.pi, 60), np.linspace(0.4, 1, 60))
     rho = np.sqrt(1 - z * z)
-    return RADIUS_MM * np.stack((rho * np.cos(angle), rho * np.sin(angle), z), axis=-1).reshape(-1, 3)
+    return RADIUS_MM * np.stack((rho * np.cos(angle), rho * np.sin(angle), z), axis=-1).reshape(
+        -1, 3
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
-@given(rotation=VECTORS, aside=st.tuples(*[st.floats(-5, 5)] * 2), moved=SMALL, seed=st.integers(0, 99))
+@given(
+    rotation=VECTORS, aside=st.tuples(*[st.floats(-5, 5)] * 2), moved=SMALL, seed=st.integers(0, 99)
+)
 def test_a_press_puts_the_objects_surface_where_it_is(
-    body: Shape, rotation: tuple[float, ...], aside: tuple[float, float], moved: tuple[float, ...], seed: int
+    body: Shape,
+    rotation: tuple[float, ...],
+    aside: tuple[float, float],
+    moved: tuple[float, ...],
+    seed: int,
 ) -> None:
     touched = over(body, rotation, 0.5, aside)
     now = shift(0.3, -0.2, -0.5) @ touched @ turn(moved)
@@ -111,7 +123,12 @@ def test_a_motion_along_the_skin_comes_through_exactly(
 
 
 def test_object_and_fingers_go_straight_from_knot_to_knot() -> None:
-    script = HandScript((0.0,), (Placement(HOME, (3.0, 0.0)),)).fingers_back((0.0, 1.0), 2.0).moved(AWAY, 1.0).held(1.0)
+    script = (
+        HandScript((0.0,), (Placement(HOME, (3.0, 0.0)),))
+        .fingers_back((0.0, 1.0), 2.0)
+        .moved(AWAY, 1.0)
+        .held(1.0)
+    )
     assert script.times_s == (0.0, 2.0, 3.0, 4.0)
     assert script.at(0.5).back_mm == pytest.approx((2.25, 0.25))
     between = script.at(2.5)
@@ -128,7 +145,9 @@ def test_an_object_in_the_middle_of_a_sensor_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_finger_slides_beyond_coulombs_law_forgets_what_it_lets_go_and_rests_for_nothing() -> None:
+def test_a_finger_slides_beyond_coulombs_law_forgets_what_it_lets_go_and_rests_for_nothing() -> (
+    None
+):
     taken = [Placement(shift(0.0, y_mm, 0.0)) for y_mm in (0.0, 1.0, 6.0)]
     go = [*taken, taken[-1], Placement(taken[-1].hand_T_object, (3.0,)), taken[-1]]
     stuck, dragged, slid, rests, away, again = follow(THREE[:1], 0, BALL, go)

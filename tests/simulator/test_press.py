@@ -41,15 +41,21 @@ def test_lowest_point_has_z_zero(name: str) -> None:
 
 @given(st.floats(-180, 180), st.floats(0.5, 2))
 @settings(max_examples=20)
-def test_rotation_is_from_x_towards_y_and_scale_is_about_the_lowest_point(rotation: float, scale: float) -> None:
+def test_rotation_is_from_x_towards_y_and_scale_is_about_the_lowest_point(
+    rotation: float, scale: float
+) -> None:
     press = Press(OBJECTS["bar"](), 1.0, 2.0, 3.0, rotation, scale)
     a = np.radians(rotation)
     reach = (7.0 + 2.0) * scale  # the end of the bar
-    end = np.array([(1 + reach * np.cos(a), 2 + reach * np.sin(a), press.lowest_z_mm(20.0) + 2.0 * scale)])
+    end = np.array(
+        [(1 + reach * np.cos(a), 2 + reach * np.sin(a), press.lowest_z_mm(20.0) + 2.0 * scale)]
+    )
     assert distance_mm([press], 20.0, end)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("change", [{"x_mm": float("nan")}, {"depth_mm": float("inf")}, {"scale": 0.0}])
+@pytest.mark.parametrize(
+    "change", [{"x_mm": float("nan")}, {"depth_mm": float("inf")}, {"scale": 0.0}]
+)
 def test_a_press_that_is_not_a_number_is_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         Press(ball(), **change)
@@ -61,7 +67,9 @@ def test_a_ball_without_radius_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("tilt_x_deg", "tilt_y_deg"), [(15.0, 0.0), (0.0, -25.0), (10.0, 10.0)])
-def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: float, tilt_y_deg: float) -> None:
+def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(
+    tilt_x_deg: float, tilt_y_deg: float
+) -> None:
     press = Press(OBJECTS["cylinder"](), 1.0, 2.0, 3.0, 0.0, 1.1, tilt_x_deg, tilt_y_deg)
     tilt = math.acos(math.cos(math.radians(tilt_x_deg)) * math.cos(math.radians(tilt_y_deg)))
     lowest = 1.1 * (-(5.0 - 0.2) * math.sin(tilt) - 0.2 + 0.2 * math.cos(tilt))
@@ -73,8 +81,12 @@ def test_the_lowest_point_of_a_tilted_cylinder_is_its_rounded_rim(tilt_x_deg: fl
 
 
 def test_tilt_is_about_x_then_y() -> None:
-    np.testing.assert_allclose(Press(ball(), tilt_x_deg=90.0).tilt() @ (0, 1, 0), (0, 0, 1), atol=1e-12)
-    np.testing.assert_allclose(Press(ball(), tilt_y_deg=90.0).tilt() @ (1, 0, 0), (0, 0, -1), atol=1e-12)
+    np.testing.assert_allclose(
+        Press(ball(), tilt_x_deg=90.0).tilt() @ (0, 1, 0), (0, 0, 1), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        Press(ball(), tilt_y_deg=90.0).tilt() @ (1, 0, 0), (0, 0, -1), atol=1e-12
+    )
     np.testing.assert_allclose(
         Press(ball(), tilt_x_deg=90.0, tilt_y_deg=90.0).tilt() @ (0, 1, 0), (1, 0, 0), atol=1e-12
     )
@@ -118,7 +130,9 @@ def test_the_scan_covers_the_pad_at_one_depth() -> None:
 def test_the_skin_meets_what_lies_under_it() -> None:
     # Over the middle of the widest fence, tilted a little: the deepest place is the tip's, less the tilt's part.
     pose = pads.about_apex(
-        from_seven((71.1, 22.0, pads.BULGE_HEIGHT_MM - 2.0 + RADIUS_MM, 0, 1, 0, 0)), turn((0.05, 0, 0)), RADIUS_MM
+        from_seven((71.1, 22.0, pads.BULGE_HEIGHT_MM - 2.0 + RADIUS_MM, 0, 1, 0, 0)),
+        turn((0.05, 0, 0)),
+        RADIUS_MM,
     )
     skin = press_skin(RADIUS_MM, 2.2, (Press(PAD.under(pose, RADIUS_MM), 0, 0, 0.0),))
     middle = skin.height_mm.shape[0] // 2

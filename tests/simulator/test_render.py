@@ -25,7 +25,9 @@ def white_ratio(model: SensorModel, *presses: Press) -> F32:
     image = renderer.draw(press_skin(model.skin_radius_mm, model.skin_decay_mm, presses))
     local = cv2.boxFilter(image, -1, (81, 81))
     side = 2 * round(model.pitch_mm / model.geometry.mm_per_px)
-    return np.asarray(cv2.blur(np.where(image > local, np.float32(255), np.float32(0)), (side, side)))
+    return np.asarray(
+        cv2.blur(np.where(image > local, np.float32(255), np.float32(0)), (side, side))
+    )
 
 
 def rings(model: SensorModel) -> F32:
@@ -35,7 +37,9 @@ def rings(model: SensorModel) -> F32:
     return np.asarray(np.hypot(rows - model.row_c, cols - model.col_c) * per_px, np.float32)
 
 
-@pytest.mark.parametrize(("name", "depth_mm"), [("ball", 1.0), ("ball", 3.0), ("cube", 3.0), ("cylinder", 3.0)])
+@pytest.mark.parametrize(
+    ("name", "depth_mm"), [("ball", 1.0), ("ball", 3.0), ("cube", 3.0), ("cylinder", 3.0)]
+)
 def test_contact_brightens_and_its_concave_rim_darkens(name: str, depth_mm: float) -> None:
     change = white_ratio(MODEL, Press(OBJECTS[name](), 0.0, 0.0, depth_mm)) - white_ratio(MODEL)
     away = rings(MODEL)
@@ -48,7 +52,9 @@ def test_projection_meets_the_formula_of_the_pinhole() -> None:
     geometry = MODEL.geometry
     theta = math.radians(50.0)
     rim = 20.0 * np.array([math.sin(theta), 0.0, math.cos(theta)])
-    assert project(geometry, rim) == pytest.approx((327.7 + 205.0, 236.4))  # the rim is the visible circle
+    assert project(geometry, rim) == pytest.approx(
+        (327.7 + 205.0, 236.4)
+    )  # the rim is the visible circle
     f_px = 205.0 * (20.0 * math.cos(theta) + 14.0) / (20.0 * math.sin(theta))
     assert project(geometry, np.array([3.0, -2.0, 17.0])) == pytest.approx(
         (327.7 + f_px * 3.0 / 31.0, 236.4 - f_px * 2.0 / 31.0)
@@ -58,7 +64,11 @@ def test_projection_meets_the_formula_of_the_pinhole() -> None:
 def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
     # Pins out of the way and small markers: each blob's centre is where the formula puts the marker.
     model = replace(
-        MODEL, pin_tip_radius_pitches=0.02, pin_base_radius_pitches=0.02, marker_radius_pitches=0.12, surround="dark"
+        MODEL,
+        pin_tip_radius_pitches=0.02,
+        pin_base_radius_pitches=0.02,
+        marker_radius_pitches=0.12,
+        surround="dark",
     )
     renderer = Renderer(model)
     image = renderer.draw(undeformed(20.0))
@@ -73,7 +83,9 @@ def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
         i, j = round(row), round(col)
         rows, cols = np.mgrid[i - 6 : i + 7, j - 6 : j + 7]
         weight = np.maximum(image[i - 6 : i + 7, j - 6 : j + 7] - 60.0, 0)
-        errors.append((np.sum(weight * rows) / weight.sum() - row, np.sum(weight * cols) / weight.sum() - col))
+        errors.append(
+            (np.sum(weight * rows) / weight.sum() - row, np.sum(weight * cols) / weight.sum() - col)
+        )
     assert np.abs(np.mean(errors, axis=0)).max() < 0.05  # half a pixel would be the classic mistake
     assert np.abs(errors).max() < 0.4
 
@@ -100,7 +112,10 @@ def test_height_under_a_ball_is_where_the_ray_meets_the_ball(
     for row, col in list(zip(rows, cols, strict=True))[::7]:
         u, v = col - geometry.disc.col_c, row - geometry.disc.row_c
         if camera_distance_mm is None:
-            origin, along = np.array([u, v, 0.0]) * [geometry.mm_per_px, geometry.mm_per_px, 1], np.array([0, 0, 1.0])
+            origin, along = (
+                np.array([u, v, 0.0]) * [geometry.mm_per_px, geometry.mm_per_px, 1],
+                np.array([0, 0, 1.0]),
+            )
         else:
             origin = np.array([0, 0, -camera_distance_mm])
             along = np.array([u / geometry.f_px, v / geometry.f_px, 1.0])
@@ -111,7 +126,9 @@ def test_height_under_a_ball_is_where_the_ray_meets_the_ball(
         s = along_centre - math.sqrt(radius**2 - to_centre @ to_centre + along_centre**2)
         errors.append(truth.height_mm[row, col] - (20.0 - np.linalg.norm(origin + s * along)))
     assert np.median(np.abs(errors)) < 0.003
-    assert np.abs(errors).max() < 0.04  # where the skin lifts off by up to 0.02 mm along the slanted normal
+    assert (
+        np.abs(errors).max() < 0.04
+    )  # where the skin lifts off by up to 0.02 mm along the slanted normal
 
 
 def test_points_are_the_contact_pixels_skin(small_sensor: SimulatedSensor) -> None:

@@ -23,13 +23,17 @@ def test_a_turn_is_pause_approach_hold_release() -> None:
 
 def test_a_held_object_is_dragged_in_few_steps_and_lifted_in_few() -> None:
     press = Press(ball(), 1.0, 2.0, 4.0, 30.0)
-    script = Script((press, press), approach=3, hold=12, release=6, pause=2, drags=(Drag(3.0, -1.5, 9.0),))
+    script = Script(
+        (press, press), approach=3, hold=12, release=6, pause=2, drags=(Drag(3.0, -1.5, 9.0),)
+    )
     held = [script.at(5 + k)[0] for k in range(12)]
     assert [p.drag_x_mm for p in held] == pytest.approx([0] * 3 + [1] * 2 + [2] * 2 + [3] * 5)
     assert [script.at(k)[0].is_dragged for k in (2, 3, 4)] == [False] * 3
     for each in held:
         part = each.drag_x_mm / 3
-        assert (each.drag_y_mm, each.twist_deg, each.depth_mm) == pytest.approx((-1.5 * part, 9.0 * part, 4.0))
+        assert (each.drag_y_mm, each.twist_deg, each.depth_mm) == pytest.approx(
+            (-1.5 * part, 9.0 * part, 4.0)
+        )
         assert each.before_drag(np.array((each.x_mm, each.y_mm))) == pytest.approx((1.0, 2.0))
         assert each.rotation_deg == pytest.approx(30.0 + each.twist_deg)
     lifted = [script.at(17 + k)[0] for k in range(6)]
@@ -55,7 +59,9 @@ def test_presses_are_repeatable_and_fit_every_skin() -> None:
     for seed in range(5):
         model = random_model(seed)
         one, same = ball_presses(model, 10, seed), ball_presses(model, 10, seed)
-        assert [(r, p.depth_mm, p.x_mm) for p, r in one] == [(r, p.depth_mm, p.x_mm) for p, r in same]
+        assert [(r, p.depth_mm, p.x_mm) for p, r in one] == [
+            (r, p.depth_mm, p.x_mm) for p, r in same
+        ]
         assert all(p.lowest_z_mm(model.skin_radius_mm) > 0 for p, _ in one)
     assert ball_presses(SensorModel(), 0) == []
 

@@ -23,7 +23,10 @@ R_MM, DECAY_MM = 20.0, 2.2
 def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
     """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
     h = skin.height_mm.astype(np.float64)
-    mass = mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1] * (skin.step_mm / decay_mm) ** 2
+    mass = (
+        mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1]
+        * (skin.step_mm / decay_mm) ** 2
+    )
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
     pull = h[1:-1, 1:-1] - neighbours / (4 + mass)
     return np.asarray(np.minimum(h[1:-1, 1:-1] - skin.obstacle_mm[1:-1, 1:-1], pull))
@@ -85,7 +88,9 @@ def test_any_press_gives_a_finite_skin_outside_the_object(
     i, j = np.nonzero(skin.height_mm > 0)
     n = skin.height_mm.shape[0] // 2
     points = chart_to_direction((j - n) * skin.step_mm, (i - n) * skin.step_mm, R_MM)
-    skin_only = points[:, 2] > math.cos(math.radians(RIM_HALF_ANGLE_DEG))  # beyond, it is the housing
+    skin_only = points[:, 2] > math.cos(
+        math.radians(RIM_HALF_ANGLE_DEG)
+    )  # beyond, it is the housing
     points = (points * (R_MM - skin.height_mm[i, j])[:, None])[skin_only]
     if len(points):
         assert distance_mm([press], R_MM, points).min() > -0.01

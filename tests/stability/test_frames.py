@@ -65,8 +65,12 @@ def calibration(size: Size, polarity: Polarity, binarisation: Binarisation) -> C
 
 
 @cache
-def made(profile: str, polarity: Polarity = "bright", binarisation: Binarisation = "adaptive") -> Reconstructor:
-    return make_reconstructor(calibration(size_for(profile), polarity, binarisation), PROFILES[profile])
+def made(
+    profile: str, polarity: Polarity = "bright", binarisation: Binarisation = "adaptive"
+) -> Reconstructor:
+    return make_reconstructor(
+        calibration(size_for(profile), polarity, binarisation), PROFILES[profile]
+    )
 
 
 BLENDS = ((0.5, 99), (1.0, 0.5), (0.6, 0.5))
@@ -85,13 +89,19 @@ def test_every_extreme_frame_is_borne(profile: str, polarity: Polarity) -> None:
         for part, where in ((1.0, 99), BLENDS[(k + turn) % len(BLENDS)])
     ]
     # The images reach every way out: a solver's answer, no contact, an invalid frame.
-    assert {(result.valid, result.contact) for result in seen} == {(True, True), (True, False), (False, False)}
+    assert {(result.valid, result.contact) for result in seen} == {
+        (True, True),
+        (True, False),
+        (False, False),
+    }
 
 
 @cache
 def always_asked(profile: str) -> Reconstructor:
     """With a gate that opens at any change, so that every frame that passes the check reaches the solver."""
-    made = make_reconstructor(calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile])
+    made = make_reconstructor(
+        calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile]
+    )
     made.gate_part = -1.0
     return made
 
@@ -100,7 +110,9 @@ def always_asked(profile: str) -> Reconstructor:
 @pytest.mark.parametrize("profile", PROFILES)
 @given(maker=makers(), part=st.floats(0.1, 1), where=st.floats(0.1, 1.5), over=st.none() | makers())
 @examples(300)
-def test_any_frame_is_borne(profile: str, maker: Maker, part: float, where: float, over: Maker | None) -> None:
+def test_any_frame_is_borne(
+    profile: str, maker: Maker, part: float, where: float, over: Maker | None
+) -> None:
     size = size_for(profile)
     image = size.blended(part, maker, where)
     if over is not None:

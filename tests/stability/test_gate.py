@@ -64,7 +64,9 @@ def test_the_cameras_own_noise_and_other_light_are_no_contact(profile: str, name
 def test_a_press_in_the_same_noise_is_a_contact(profile: str) -> None:
     """So that a gate that never opens is not called honest."""
     for seed in range(5):
-        assert sound_step(made(profile, "half"), camera_faults.noise(pressed("ball", 2.0).image, 4, seed)).contact
+        assert sound_step(
+            made(profile, "half"), camera_faults.noise(pressed("ball", 2.0).image, 4, seed)
+        ).contact
 
 
 @pytest.mark.slow

@@ -76,7 +76,10 @@ def test_every_disc_is_borne(profile: str, name: str) -> None:
     for image in (noise(1), EXTREME_IMAGES["spot"], EXTREME_IMAGES["step, axis 0"]):
         sound_step(made, image(ROWS, COLS))
     found = sound_step(always_asked(calibration, profile), pressed(DISCS[name]))
-    if name in ("cut above", "cut on two sides"):  # of a corner too little is seen to distinguish skin from what is not
+    if name in (
+        "cut above",
+        "cut on two sides",
+    ):  # of a corner too little is seen to distinguish skin from what is not
         assert found.contact
 
 

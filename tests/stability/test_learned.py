@@ -62,7 +62,9 @@ def test_every_extreme_white_gives_an_answer(name: str) -> None:
             answer = sound_answer(inverse, white(name, image), 20.0)
             tops.append(float(answer.height_mm.max()))
             logits.append(float(np.abs(answer.contact_logit).max()))
-    print(f"figure: {name} on whites that no frame has: heights up to {max(tops):.1f} mm on a skin of 20 mm")
+    print(
+        f"figure: {name} on whites that no frame has: heights up to {max(tops):.1f} mm on a skin of 20 mm"
+    )
 
 
 @pytest.mark.slow
@@ -92,7 +94,9 @@ def test_any_sensor_and_white_gives_an_answer(
     cells = white(name, base)
     row, col = (int(part * (len(cells) - 8)) for part in where)
     cells[row : row + 8, col : col + 8] = patch
-    inverse = LearnedInverse(network(name), geometry, pitch * disc.radius_px, white(name, "checkerboard 8 px"))
+    inverse = LearnedInverse(
+        network(name), geometry, pitch * disc.radius_px, white(name, "checkerboard 8 px")
+    )
     sound_answer(inverse, cells, radius_mm)
 
 
@@ -100,7 +104,10 @@ def test_any_sensor_and_white_gives_an_answer(
 @pytest.mark.parametrize("name", NAMES)
 def test_another_engine_gives_the_same(name: str, tmp_path: Path) -> None:
     """OpenCV adds float32 in another order: how far the two differ is what rounding does."""
-    parts = [cv2.dnn.readNetFromONNX(np.fromfile(WEIGHTS / f"{name}{part}.onnx", np.uint8)) for part in (".sensor", "")]
+    parts = [
+        cv2.dnn.readNetFromONNX(np.fromfile(WEIGHTS / f"{name}{part}.onnx", np.uint8))
+        for part in (".sensor", "")
+    ]
 
     def sense(known: F32) -> F32:
         parts[0].setInput(np.ascontiguousarray(known[None]), "known")
@@ -115,7 +122,8 @@ def test_another_engine_gives_the_same(name: str, tmp_path: Path) -> None:
     reference = white(name, "checkerboard 8 px")
     exact = float_network(name, tmp_path)
     ours, theirs = (
-        LearnedInverse(net, geometry, 20.0, reference) for net in (exact, replace(exact, sense=sense, run=run))
+        LearnedInverse(net, geometry, 20.0, reference)
+        for net in (exact, replace(exact, sense=sense, run=run))
     )
     worst = 0.0
     for image in EXTREME_IMAGES:

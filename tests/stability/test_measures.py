@@ -23,7 +23,9 @@ from tacshade_edge.core.geometry.disc_map import CELLS
 from tacshade_edge.studies.evaluate.score import score_cloud
 from tacshade_edge.types import F32, Disc, Geometry
 
-clouds = arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32))
+clouds = arrays(
+    np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32)
+)
 BALL = Ball(0.0, 0.0, 23.0, 5.0)
 
 
@@ -36,7 +38,9 @@ def test_any_clouds_have_finite_scores(found: F32, true: F32, h_max_mm: float) -
     assert score.me_mm >= 0
     assert score.sd_sum <= score.sd <= 1
     # float32 points in float64 distances.
-    direct = np.linalg.norm(found[:, None].astype(np.float64) - true[None].astype(np.float64), axis=-1)
+    direct = np.linalg.norm(
+        found[:, None].astype(np.float64) - true[None].astype(np.float64), axis=-1
+    )
     assert score.me_mm == pytest.approx(direct.min(axis=1).mean(), rel=1e-9, abs=1e-9)
 
 
@@ -70,7 +74,9 @@ DISTANCES_MM = (None, 1e-300, 0.1, 14.0, 100.0, 1000.0)
 SQUARE_BOUND = 2e-6
 
 
-def geometry_of(skin_radius_mm: float, camera_distance_mm: float | None, half_angle_deg: float) -> Geometry:
+def geometry_of(
+    skin_radius_mm: float, camera_distance_mm: float | None, half_angle_deg: float
+) -> Geometry:
     return Geometry(skin_radius_mm, camera_distance_mm, half_angle_deg, DISC)
 
 
@@ -102,7 +108,9 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
         height = (radius_mm * part * np.ones_like(noise)).astype(np.float32)
         points = skin_points(height, rays, geometry)
         assert np.isfinite(points).all()
-        assert (np.linalg.norm(points.astype(np.float64), axis=-1)[inside] <= radius_mm * (1 + 1e-6)).all()
+        assert (
+            np.linalg.norm(points.astype(np.float64), axis=-1)[inside] <= radius_mm * (1 + 1e-6)
+        ).all()
         expected, square = precise_points(height, rays, geometry)
         # A ray that grazes the deformed skin meets it anywhere along the root of the square's last digits.
         root = np.sqrt(np.maximum(square, 0)) / radius_mm
@@ -113,7 +121,9 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
         area = cell_area_mm2(np.where(inside, np.moveaxis(points, -1, 0), np.float32(np.nan)))
         assert np.isfinite(area).all()
         assert (area >= 0).all()
-    print(f"figure: eq. 2, lens {distance_mm} mm away: a point not grazed at most {worst:.0e} skin radii off")
+    print(
+        f"figure: eq. 2, lens {distance_mm} mm away: a point not grazed at most {worst:.0e} skin radii off"
+    )
 
 
 @pytest.mark.slow

@@ -76,7 +76,9 @@ def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> No
     smooth = median_filter(grey, size=3, mode="nearest")[inside]
     like = {n: float(np.corrcoef(after(n)[inside], smooth)[0, 1]) for n in (0, 1, 2, 5, 25, 100)}
     for n, r in like.items():
-        print(f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to {after(n)[inside].max():.1e}")
+        print(
+            f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to {after(n)[inside].max():.1e}"
+        )
     assert like[25] > 0.99
     assert like[100] > like[25]
     assert max(abs(like[n]) for n in (1, 2, 5)) < 0.5  # before that, it is not even that
@@ -103,5 +105,7 @@ def test_the_grey_of_the_untouched_skin_is_not_the_shading_of_a_flat() -> None:
     """Eq. 12 wants g_hn to be R, which is 1 where the surface is flat and untouched; g_hn is low there."""
     grey, inside = press()
     untouched = float(np.median(grey[inside]))
-    print(f"figure: g_hn of the skin beside a press: {untouched:.2f}; the reflectance of a flat is 1")
+    print(
+        f"figure: g_hn of the skin beside a press: {untouched:.2f}; the reflectance of a flat is 1"
+    )
     assert untouched < 0.7

@@ -68,7 +68,9 @@ def test_a_value_that_no_grey_has_is_borne_in_both_maps(solver: str, beyond: str
 @pytest.mark.parametrize("solver", METHODS)
 @given(data=st.data(), shape=shapes, alpha_mm=st.floats(0, 1e300))
 @examples(300)
-def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, int], alpha_mm: float) -> None:
+def test_any_maps_are_borne(
+    solver: str, data: st.DataObject, shape: tuple[int, int], alpha_mm: float
+) -> None:
     g_d, g0 = data.draw(any_maps(shape)), data.draw(any_maps(shape))
     inside = data.draw(st.one_of(arrays(bool, shape), st.just(np.ones(shape, bool))))
     depth = sound_depth(solver, maps_of(g_d, g0, inside), alpha_mm)
@@ -78,7 +80,9 @@ def test_any_maps_are_borne(solver: str, data: st.DataObject, shape: tuple[int, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["white spike", "noise 0"])
-def test_ten_thousand_iterations_of_the_paper_stay_finite(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ten_thousand_iterations_of_the_paper_stay_finite(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     grey = normalise(EXTREME_MAPS[name](64, 64), np.ones((64, 64), bool)).astype(np.float64)
     tops = []
     for iterations in (25, 10_000):
@@ -129,7 +133,11 @@ def sound(image: F32, weight: float) -> F32:
 
 @pytest.mark.slow
 @given(
-    image=arrays(np.float32, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.floats(-1, 2, width=32)),
+    image=arrays(
+        np.float32,
+        st.tuples(st.integers(1, 24), st.integers(1, 24)),
+        elements=st.floats(-1, 2, width=32),
+    ),
     weight=st.sampled_from(WEIGHTS),
 )
 @examples(300)
@@ -146,11 +154,17 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     image = to_unit(EXTREME_MAPS[name](64, 64))
     monkeypatch.setattr(greyscale, "ENOUGH", 0.0)
     found = chambolle(image, weight, 10_000)
-    from skimage.restoration import denoise_tv_chambolle  # takes a second, as SciPy's statistics that it imports
+    from skimage.restoration import (
+        denoise_tv_chambolle,
+    )  # takes a second, as SciPy's statistics that it imports
 
-    precise = denoise_tv_chambolle(image.astype(np.float64), weight=weight, eps=0, max_num_iter=10_000)
+    precise = denoise_tv_chambolle(
+        image.astype(np.float64), weight=weight, eps=0, max_num_iter=10_000
+    )
     off = float(np.abs(found - precise).max())
-    print(f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64")
+    print(
+        f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64"
+    )
     assert off < LONG_BOUND
 
 

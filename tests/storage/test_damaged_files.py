@@ -34,7 +34,13 @@ from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.npz import Content
 from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
 from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION, SessionInfo, StitchFile, open_session
+from tacshade_edge.storage.stitching.stitch_file import (
+    PRESSES,
+    SESSION,
+    SessionInfo,
+    StitchFile,
+    open_session,
+)
 from tacshade_edge.storage.tables.frame_table import read_poses
 from tacshade_edge.storage.tables.indenters import read_indenters
 from tacshade_edge.storage.tables.labels import read_labels
@@ -50,12 +56,72 @@ LINE_CHARS_MAX = 2000
 _log = logging.getLogger("tacshade_edge.damaged_files")
 Files = dict[str, bytes]
 JUNK = (
-    *(None, True, 0, -1, 2**31, 2**63, 2**64, 0.0, -0.0, 1e-300, 1e300, float("nan"), float("inf"), 45.0),
-    *("", "x", "nan", "\x00", "\n\x1b[31m", "../../x", "a" * 5000, [], {}, [None], [0.0] * 7, [1e300] * 7, {"a": 1}),
+    *(
+        None,
+        True,
+        0,
+        -1,
+        2**31,
+        2**63,
+        2**64,
+        0.0,
+        -0.0,
+        1e-300,
+        1e300,
+        float("nan"),
+        float("inf"),
+        45.0,
+    ),
+    *(
+        "",
+        "x",
+        "nan",
+        "\x00",
+        "\n\x1b[31m",
+        "../../x",
+        "a" * 5000,
+        [],
+        {},
+        [None],
+        [0.0] * 7,
+        [1e300] * 7,
+        {"a": 1},
+    ),
 )
 WORDS = (
-    *("", "0", "-1", "1e300", "nan", "inf", "9" * 400, "0x10", "1_0", "null", "~", "[]", "{}", "[[[", "&a [*a]", "*a"),
-    *("!!python/object:os.system", "\t", "\x00", "\x1b[2J", "'", '"', ",", ":", "#", "- -", "é", "٣", "[" * 100_000),
+    *(
+        "",
+        "0",
+        "-1",
+        "1e300",
+        "nan",
+        "inf",
+        "9" * 400,
+        "0x10",
+        "1_0",
+        "null",
+        "~",
+        "[]",
+        "{}",
+        "[[[",
+        "&a [*a]",
+        "*a",
+    ),
+    *(
+        "!!python/object:os.system",
+        "\t",
+        "\x00",
+        "\x1b[2J",
+        "'",
+        '"',
+        ",",
+        ":",
+        "#",
+        "- -",
+        "é",
+        "٣",
+        "[" * 100_000,
+    ),
 )
 
 
@@ -78,8 +144,15 @@ def crc_of(value: Any) -> int:
 
 
 def read_calibration(folder: Path) -> Any:
-    calibration, inputs = calibrations.load(folder / "c.npz"), calibration_file.inputs_in(folder / "c.npz")
-    images = () if inputs is None else (*inputs.references, *inputs.renewed, *(p.image for p in inputs.presses))
+    calibration, inputs = (
+        calibrations.load(folder / "c.npz"),
+        calibration_file.inputs_in(folder / "c.npz"),
+    )
+    images = (
+        ()
+        if inputs is None
+        else (*inputs.references, *inputs.renewed, *(p.image for p in inputs.presses))
+    )
     return calibration.crc32, [crc_of(image) for image in images]
 
 
@@ -92,7 +165,10 @@ def read_session(folder: Path) -> Any:
     if open_session(folder, SENSOR_ID) is None:
         return None
     presses = StitchFile.resume(folder / "one")[1]
-    return [(crc_of(p.points_mm), crc_of(p.normals), crc_of(p.confidence), pose.seven()) for p, pose in presses]
+    return [
+        (crc_of(p.points_mm), crc_of(p.normals), crc_of(p.confidence), pose.seven())
+        for p, pose in presses
+    ]
 
 
 def read_recording(name: str, folder: Path) -> Any:
@@ -112,7 +188,9 @@ def read_recording(name: str, folder: Path) -> Any:
 
 
 def inside(folder: Path) -> Files:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
 
 
 POSE = "1,2,3,0.6,0,-0.8,0"
@@ -130,7 +208,9 @@ TEXTS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     ),
     "PRESSES.csv": (
         "image,indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\na.png,ball,4.5,2,1,-3,\na.png,ball,3,1.25,,,0\n",
-        lambda path: [(p.radius_mm, p.depth_mm, p.x_mm, p.y_mm, p.yaw_deg) for p in read_presses(path)[0]],
+        lambda path: [
+            (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm, p.yaw_deg) for p in read_presses(path)[0]
+        ],
     ),
     "POSES.csv": (
         f"image,x_mm,y_mm,z_mm,qw,qx,qy,qz\na.png,{POSE}\na.png,{POSE}\n",
@@ -155,32 +235,49 @@ def kinds() -> dict[str, Kind]:
     triangle = np.array([[[0.0, 0.0, 3.0], [4.0, 0.0, 3.0], [0.0, 4.0, 5.0]]] * 4)
     beside = {"a.png": cv2.imencode(".png", FREE)[1].tobytes(), "own.stl": stl_bytes(triangle)}
     made = {
-        name: Kind({name: text.encode(), **beside}, lambda folder, name=name, read=read: read(folder / name))
+        name: Kind(
+            {name: text.encode(), **beside},
+            lambda folder, name=name, read=read: read(folder / name),
+        )
         for name, (text, read) in TEXTS.items()
     }
-    made["own.stl"] = Kind({"own.stl": beside["own.stl"]}, lambda folder: crc_of(read_stl(folder / "own.stl")))
+    made["own.stl"] = Kind(
+        {"own.stl": beside["own.stl"]}, lambda folder: crc_of(read_stl(folder / "own.stl"))
+    )
     for suffix in PICTURES:
         shown = TOUCHED if suffix in (".png", ".pgm") else cv2.cvtColor(TOUCHED, cv2.COLOR_GRAY2BGR)
         content = cv2.imencode(suffix, shown)[1].tobytes()
         made[suffix] = Kind(
-            {f"a{suffix}": content}, lambda folder, suffix=suffix: crc_of(read_image(folder / f"a{suffix}"))
+            {f"a{suffix}": content},
+            lambda folder, suffix=suffix: crc_of(read_image(folder / f"a{suffix}")),
         )
     with TemporaryDirectory() as name:
         root, plain = Path(name), painted_calibration()
         sensor = Sensor(20.0, 30.0, 50.0, "bright")
         inputs = Inputs(sensor, (FREE, FREE), (KnownPress("press", TOUCHED, 4.0, 1.5, 0.0, 0.0),))
-        for kind, calibration in (("calibration", plain), ("fitted calibration", fitted_with("fast", plain, 0.0))):
+        for kind, calibration in (
+            ("calibration", plain),
+            ("fitted calibration", fitted_with("fast", plain, 0.0)),
+        ):
             calibration_file.save(root / "c.npz", calibration, inputs)
-            made[kind] = Kind({"c.npz": (root / "c.npz").read_bytes()}, read_calibration, checked=True)
-        reference_file.save(root / "c.reference.npz", plain, StoredReference(calibration_file.with_crc(plain), 5))
+            made[kind] = Kind(
+                {"c.npz": (root / "c.npz").read_bytes()}, read_calibration, checked=True
+            )
+        reference_file.save(
+            root / "c.reference.npz", plain, StoredReference(calibration_file.with_crc(plain), 5)
+        )
         files = {"c.reference.npz": (root / "c.reference.npz").read_bytes()}
         made["stored reference"] = Kind(files, read_reference, checked=True)
-        session = StitchFile.create(root / "session/one", SessionInfo("one", 5, 77, 20.0, SENSOR_ID))
+        session = StitchFile.create(
+            root / "session/one", SessionInfo("one", 5, 77, 20.0, SENSOR_ID)
+        )
         for k, pose in enumerate(grid_poses()[:3]):
             session.append(press_of(pose, k), pose)
         session.close()
         files = inside(root / "session")
-        made["session"] = Kind(files, read_session, (f"one/{SESSION}", f"one/{PRESSES}"), checked=True)
+        made["session"] = Kind(
+            files, read_session, (f"one/{SESSION}", f"one/{PRESSES}"), checked=True
+        )
         recorder, mcap = (
             Recorder(root / "rec"),
             McapRecorder(root / "mcap", "left"),
@@ -201,7 +298,15 @@ def kinds() -> dict[str, Kind]:
     return made
 
 
-NAMES = (*TEXTS, "own.stl", *PICTURES, "calibration", "fitted calibration", "stored reference", "session")
+NAMES = (
+    *TEXTS,
+    "own.stl",
+    *PICTURES,
+    "calibration",
+    "fitted calibration",
+    "stored reference",
+    "session",
+)
 NAMES += ("recording", "MCAP")
 
 
@@ -210,7 +315,9 @@ def damage(draw: st.DrawFn, content: bytes, text: bool) -> bytes:
     """Damage in one place: flipped bits, a cut, a hole, other bytes, an impossible number, or another word."""
     at = draw(st.integers(0, len(content)) | st.integers(0, min(len(content), 200)))
     size = draw(st.integers(1, 64))
-    way = draw(st.sampled_from(("flip", "cut", "hole", "put", "zeros", "number", *("word",) * 6 * text)))
+    way = draw(
+        st.sampled_from(("flip", "cut", "hole", "put", "zeros", "number", *("word",) * 6 * text))
+    )
     rest = content[at + size :]
     if way == "word":
         words = content.replace(b",", b" , ").replace(b"\n", b" \n ").split(b" ")
@@ -280,7 +387,9 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name: str, data: st.DataO
 @pytest.mark.parametrize("name", ["calibration", "fitted calibration", "stored reference"])
 @settings(max_examples=at_most(200))
 @given(data=st.data())
-def test_wrong_content_behind_a_right_checksum_is_used_or_refused_in_one_line(name: str, data: st.DataObject) -> None:
+def test_wrong_content_behind_a_right_checksum_is_used_or_refused_in_one_line(
+    name: str, data: st.DataObject
+) -> None:
     kind = kinds()[name]
     ((file, packed),) = kind.files.items()
     with TemporaryDirectory() as folder:
@@ -293,7 +402,9 @@ def test_wrong_content_behind_a_right_checksum_is_used_or_refused_in_one_line(na
     if part == "array":
         shape = data.draw(st.lists(st.sampled_from((0, 1, 2, 7, 119, 120, 160)), max_size=3))
         arrays[key] = np.full(
-            shape, data.draw(st.sampled_from((0, 1, 255))), data.draw(st.sampled_from(("u1", "f4", "U3")))
+            shape,
+            data.draw(st.sampled_from((0, 1, 255))),
+            data.draw(st.sampled_from(("u1", "f4", "U3"))),
         )
     elif part == "inner" and isinstance(meta[key], dict) and meta[key]:
         meta[key] = {**meta[key], data.draw(st.sampled_from(sorted(meta[key]))): data.draw(junk)}
@@ -310,6 +421,8 @@ def test_a_png_that_states_another_size_behind_a_right_checksum(sides: tuple[int
     kind = kinds()[".png"]
     ((file, content),) = kind.files.items()
     head = struct.pack(">4s2I5B", b"IHDR", *sides, 8, 0, 0, 0, 0)
-    value, lines = read(kind, {file: content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:]})
+    value, lines = read(
+        kind, {file: content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:]}
+    )
     assert value is None
     assert "\n" not in lines[-1]

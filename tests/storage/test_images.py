@@ -24,8 +24,12 @@ def test_a_lossless_image_is_read_as_written(tmp_path: Path, suffix: str) -> Non
     np.testing.assert_array_equal(read_image(path), PICTURE)
 
 
-@pytest.mark.parametrize(("suffix", "bits", "factor"), [(".png", 10, 64), (".tiff", 12, 16), (".pgm", 10, 64)])
-def test_values_of_ten_or_twelve_bits_in_16_are_refused(tmp_path: Path, suffix: str, bits: int, factor: int) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "bits", "factor"), [(".png", 10, 64), (".tiff", 12, 16), (".pgm", 10, 64)]
+)
+def test_values_of_ten_or_twelve_bits_in_16_are_refused(
+    tmp_path: Path, suffix: str, bits: int, factor: int
+) -> None:
     path = tmp_path / f"deep{suffix}"
     deep = PICTURE[:, :, 0].astype(np.uint16) << (bits - 8)
     cv2.imwrite(str(path), deep)
@@ -63,13 +67,24 @@ HOT = np.where(np.arange(TEN.size).reshape(TEN.shape) == 77, 65535, TEN).astype(
 ASCII = b"P2\n64 48\n255\n" + " ".join(map(str, GREY.ravel().tolist())).encode()
 ANIMATED = {"save_all": True, "append_images": [Image.fromarray(255 - GREY)]}
 TURNED = b"Exif\0\0MM\0*\0\0\0\x08\0\1\1\x12\0\3\0\0\0\1\0\6\0\0\0\0\0\0"
-DEEP, OTHER, SEVERAL, FEW = "16-bit pixels", "floating-point or signed", "several pages", "1 bits per pixel"
+DEEP, OTHER, SEVERAL, FEW = (
+    "16-bit pixels",
+    "floating-point or signed",
+    "several pages",
+    "1 bits per pixel",
+)
 OTHERS: dict[str, tuple[bytes, str]] = {
-    **{f"{kind} in a tiff": (tiff(GREY.astype(kind)), OTHER) for kind in ("f2", "f4", "f8", "i1", "i2", "i4")},
+    **{
+        f"{kind} in a tiff": (tiff(GREY.astype(kind)), OTHER)
+        for kind in ("f2", "f4", "f8", "i1", "i2", "i4")
+    },
     "floats in colour": (cv2.imencode(".tiff", PICTURE.astype(np.float32))[1].tobytes(), OTHER),
     "10 bits and a hot pixel": (cv2.imencode(".png", HOT)[1].tobytes(), DEEP),
     "10 bits, the other byte order": (tiff(TEN, byteorder=">"), DEEP),
-    "a pgm of 10 bits": (pgm(1023, TEN.astype(">u2")), "found 1023 as the greatest value of a pixel, expected 255 or"),
+    "a pgm of 10 bits": (
+        pgm(1023, TEN.astype(">u2")),
+        "found 1023 as the greatest value of a pixel, expected 255 or",
+    ),
     "a pgm of 100 levels": (pgm(100, GREY // 3), "found 100 as the greatest value"),
     "a tiff of two pages": (tiff(np.stack((GREY, GREY))), SEVERAL),
     "a tiff with a thumbnail": (tiff(GREY, thumbnail=GREY[::4, ::4]), ""),

@@ -14,7 +14,10 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.npz import BYTES_MAX, Content
 
-CONTENT = Content({"version": 1}, {"image": np.arange(12, dtype=np.uint8).reshape(3, 4), "h": np.eye(2, order="F")})
+CONTENT = Content(
+    {"version": 1},
+    {"image": np.arange(12, dtype=np.uint8).reshape(3, 4), "h": np.eye(2, order="F")},
+)
 
 
 def read(path: Path, data: bytes) -> Content:
@@ -61,12 +64,17 @@ def of_shape(shape: tuple[int, ...]) -> bytes:
         pytest.param({f"{i}.npy": b"" for i in range(300)}, id="many"),
     ],
 )
-def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: dict[str, bytes]) -> None:
-    data = packed({"meta.npy": array(np.zeros(2, np.uint8)), "crc32.npy": array(np.uint32(0)), **members})
+def test_what_is_larger_than_it_can_be_is_not_unpacked(
+    tmp_path: Path, members: dict[str, bytes]
+) -> None:
+    data = packed(
+        {"meta.npy": array(np.zeros(2, np.uint8)), "crc32.npy": array(np.uint32(0)), **members}
+    )
     tracemalloc.start()
     try:
         with pytest.raises(
-            ConfigError, match=r"c\.npz: the file is damaged or not a calibration; expected a file written by so"
+            ConfigError,
+            match=r"c\.npz: the file is damaged or not a calibration; expected a file written by so",
         ):
             read(tmp_path / "c.npz", data)
         assert tracemalloc.get_traced_memory()[1] < 2 << 20
@@ -75,7 +83,9 @@ def test_what_is_larger_than_it_can_be_is_not_unpacked(tmp_path: Path, members: 
 
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path, compression: int) -> None:
+def test_a_directory_that_understates_its_member_unpacks_no_more(
+    tmp_path: Path, compression: int
+) -> None:
     size = 4 << 20
     data = packed({"meta.npy": array(np.zeros(size, np.uint8))}, compression)
     assert len(data) < 1 << 17
@@ -93,7 +103,9 @@ def test_a_directory_that_understates_its_member_unpacks_no_more(tmp_path: Path,
 
 def test_a_directory_of_many_entries_is_not_read(tmp_path: Path) -> None:
     entries = 30_000 * (struct.pack("<4s6H3I5H2I", b"PK\1\2", *[0] * 9, 1, *[0] * 6) + b"a")
-    (tmp_path / "c.npz").write_bytes(entries + struct.pack("<4s4H2IH", b"PK\5\6", *[0] * 4, len(entries), 0, 0))
+    (tmp_path / "c.npz").write_bytes(
+        entries + struct.pack("<4s4H2IH", b"PK\5\6", *[0] * 4, len(entries), 0, 0)
+    )
     tracemalloc.start()
     try:
         with pytest.raises(DecodeError, match="too many arrays"):

@@ -37,11 +37,15 @@ def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
     bar_px = LEFT_PX + BAR_WIDTH_PX + RIGHT_PX
     high, wide = (sheet.shape[0] // 2, (sheet.shape[1] - bar_px) // SHEET_COLUMNS)
     maps = [
-        sheet[(k // SHEET_COLUMNS) * high :][:high, (k % SHEET_COLUMNS) * wide + TILE_PX :][:, :TILE_PX]
+        sheet[(k // SHEET_COLUMNS) * high :][:high, (k % SHEET_COLUMNS) * wide + TILE_PX :][
+            :, :TILE_PX
+        ]
         for k in range(5)
     ]
     np.testing.assert_array_equal(maps[1][: high // 2], maps[3][: high // 2])
-    deep = [((map_[..., 2] > 200) & (map_[..., 0] < 100)).any() for map_ in maps]  # the scale's yellow end
+    deep = [
+        ((map_[..., 2] > 200) & (map_[..., 0] < 100)).any() for map_ in maps
+    ]  # the scale's yellow end
     assert deep == [False, True, False, True, False]
 
 

@@ -41,7 +41,9 @@ def results() -> tuple[tuple[RecordedFrame, Reconstruction], ...]:
     reconstructor = make_reconstructor(painted_calibration(), PROFILES["balanced"])
     pose = Pose(20, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     frames = [Frame(0, 0, 0, FREE), Frame(1, 10, 0, TOUCHED), Frame(2, 20, 0, TOUCHED, pose)]
-    return tuple((RecordedFrame(f"{frame.seq}.png", frame), reconstructor.step(frame)) for frame in frames)
+    return tuple(
+        (RecordedFrame(f"{frame.seq}.png", frame), reconstructor.step(frame)) for frame in frames
+    )
 
 
 def begun(folder: Path, change: Change = lambda result: result, frames: int = 3) -> RunWriter:
@@ -60,12 +62,28 @@ def write(folder: Path, change: Change = lambda result: result, frames: int = 3)
 def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> None:
     folder = write(tmp_path / "new" / "run")
     assert sorted(p.name for p in folder.iterdir()) == [CLOUDS, HEIGHTS, SHEARS, SUMMARY, TIMINGS]
-    for name, encode in ((HEIGHTS, wire.encode_height), (CLOUDS, wire.encode_cloud), (SHEARS, wire.encode_shear)):
-        expected = [encode(result, calibration_crc32=CRC32, pose=r.frame.pose) for r, result in results()]
+    for name, encode in (
+        (HEIGHTS, wire.encode_height),
+        (CLOUDS, wire.encode_cloud),
+        (SHEARS, wire.encode_shear),
+    ):
+        expected = [
+            encode(result, calibration_crc32=CRC32, pose=r.frame.pose) for r, result in results()
+        ]
         assert list(payloads(folder, name)) == expected
     free, _, touched = read_summary(folder)
-    assert (free["image"], free["seq"], free["t_ns"], free["contact"], free["pose"]) == ("0.png", 0, 0, False, None)
-    assert (touched["seq"], touched["contact"], touched["pose"]) == (2, True, [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0])
+    assert (free["image"], free["seq"], free["t_ns"], free["contact"], free["pose"]) == (
+        "0.png",
+        0,
+        0,
+        False,
+        None,
+    )
+    assert (touched["seq"], touched["contact"], touched["pose"]) == (
+        2,
+        True,
+        [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0],
+    )
     message = wire.decode(list(payloads(folder, HEIGHTS))[2])
     assert isinstance(message, wire.HeightMessage)
     assert touched["depth_max_mm"] == pytest.approx(np.nanmax(message.height_mm), abs=2e-3)
@@ -75,7 +93,11 @@ def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> No
 def test_nothing_of_a_run_shows_before_it_is_whole(tmp_path: Path) -> None:
     write(tmp_path)
     second = begun(tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [f"{CLOUDS}.part", f"{HEIGHTS}.part", f"{SHEARS}.part"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        f"{CLOUDS}.part",
+        f"{HEIGHTS}.part",
+        f"{SHEARS}.part",
+    ]
     with pytest.raises(ConfigError, match=r"summary\.json: No such file"):
         read_summary(tmp_path)
     second.discard()
@@ -89,11 +111,17 @@ def test_damage_is_reported(tmp_path: Path) -> None:
         heights.write_bytes(whole[:size])
         with pytest.raises(DecodeError, match=rf"heights\.bin: cut short after {size} bytes"):
             list(payloads(tmp_path, HEIGHTS))
-    for text, said in (("{", "not valid JSON"), ("[1]", "JSON of another form"), ("{}", "JSON of another form")):
+    for text, said in (
+        ("{", "not valid JSON"),
+        ("[1]", "JSON of another form"),
+        ("{}", "JSON of another form"),
+    ):
         (tmp_path / SUMMARY).write_text(text)
         with pytest.raises(DecodeError, match=said):
             read_summary(tmp_path)
-    with pytest.raises(DeviceError, match=r"heights\.bin: cannot write it: (File exists|Not a directory)"):
+    with pytest.raises(
+        DeviceError, match=r"heights\.bin: cannot write it: (File exists|Not a directory)"
+    ):
         RunWriter(heights, calibration_crc32=0)
 
 
@@ -123,7 +151,10 @@ def deeper(result: Reconstruction) -> Reconstruction:
     height_mm = np.array(result.height.height_mm)
     height_mm[56, 50] += 0.25
     height = result.height
-    return replace(result, height=HeightMap(height_mm, height.contact, height.row0, height.col0, height.step_px))
+    return replace(
+        result,
+        height=HeightMap(height_mm, height.contact, height.row0, height.col0, height.step_px),
+    )
 
 
 def moved(result: Reconstruction) -> Reconstruction:

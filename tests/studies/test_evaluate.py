@@ -42,7 +42,9 @@ def test_a_name_is_written_as_it_is_read(text: str) -> None:
     assert SensorName.parse(f"tacshade:{text}") == SensorName.parse(text)
 
 
-@pytest.mark.parametrize("text", ["", "x", "-1", "1.5", "teapot:3", "tacshade:", ":5", "٣", "99999999999"])
+@pytest.mark.parametrize(
+    "text", ["", "x", "-1", "1.5", "teapot:3", "tacshade:", ":5", "٣", "99999999999"]
+)
 def test_what_is_no_sensor_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="expected"):
         SensorName.parse(text)
@@ -80,15 +82,21 @@ def family() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def found() -> tuple[list[Row], list[CalibrationResult]]:
     given = {"references": 3, "presses": 8, "null_frames": 5}
-    return evaluate((HALF_SENSOR,), ("fast",), ("ball", "ring"), ThisProcess(), quiet, depths_mm=(2.0,), **given)
+    return evaluate(
+        (HALF_SENSOR,), ("fast",), ("ball", "ring"), ThisProcess(), quiet, depths_mm=(2.0,), **given
+    )
 
 
 @pytest.mark.slow
-def test_a_row_for_every_press_and_frame_without_contact(found: tuple[list[Row], list[CalibrationResult]]) -> None:
+def test_a_row_for_every_press_and_frame_without_contact(
+    found: tuple[list[Row], list[CalibrationResult]],
+) -> None:
     rows, calibrations = found
     assert [r.object for r in rows] == ["ball"] * 3 + ["ring"] * 3 + ["none"] * 5
     assert {(r.sensor, r.profile) for r in rows} == {("half:default", "fast")}
-    assert all(r.valid and r.contact and r.iou > 0.3 and r.me_mm < 2 for r in rows if r.object == "ball")
+    assert all(
+        r.valid and r.contact and r.iou > 0.3 and r.me_mm < 2 for r in rows if r.object == "ball"
+    )
     assert not any(r.contact for r in rows if r.object == "none")
     assert [r.image for r in rows[-5:-3]] == ["", "light x0.8"]
     fit = calibrations[0].calibration.fit
@@ -105,7 +113,15 @@ ROW = Row(
 
 
 def test_a_missed_contact_counts_as_a_skin_left_alone() -> None:
-    missed = replace(ROW, me_mm=math.nan, backward_mm=math.nan, sd_pct=0.0, iou=0.0, contact=False, true_depth_mm=3.0)
+    missed = replace(
+        ROW,
+        me_mm=math.nan,
+        backward_mm=math.nan,
+        sd_pct=0.0,
+        iou=0.0,
+        contact=False,
+        true_depth_mm=3.0,
+    )
     found = figures([replace(ROW, me_mm=0.2, backward_mm=0.4, sd_pct=90.0), missed])
     assert found.missed == 1
     assert (found.me_mm, found.backward_mm, found.sd_pct) == pytest.approx((1.6, 1.7, 45))
@@ -120,10 +136,20 @@ def test_frames_without_contact() -> None:
 
 
 NULL = replace(
-    ROW, object="none", contact=False, true_points=0, me_mm=math.nan, sd_pct=math.nan, iou=math.nan, found_depth_mm=0.0
+    ROW,
+    object="none",
+    contact=False,
+    true_points=0,
+    me_mm=math.nan,
+    sd_pct=math.nan,
+    iou=math.nan,
+    found_depth_mm=0.0,
 )
 ROWS = [
-    *(replace(ROW, object=name, me_mm=0.1 * (k + 1)) for k, name in enumerate((*PAPER_OBJECTS, "ring"))),
+    *(
+        replace(ROW, object=name, me_mm=0.1 * (k + 1))
+        for k, name in enumerate((*PAPER_OBJECTS, "ring"))
+    ),
     NULL,
 ]
 
@@ -142,8 +168,12 @@ def test_the_document_is_json_that_any_program_reads() -> None:
     assert read["table_i"]["ball"] == {"me_mm": 0.1039, "sd_pct": 96.02}
 
 
-def row(k: int, depth: float, shear: tuple[float, float], tilt: tuple[float, float], refused: str = "") -> FoundRow:
-    return FoundRow(f"{k}.png", "fast", refused, True, False, False, depth, 3 * depth, *tilt, *shear)
+def row(
+    k: int, depth: float, shear: tuple[float, float], tilt: tuple[float, float], refused: str = ""
+) -> FoundRow:
+    return FoundRow(
+        f"{k}.png", "fast", refused, True, False, False, depth, 3 * depth, *tilt, *shear
+    )
 
 
 def some(count: int = 60) -> tuple[list[FoundRow], list[Mapping[str, float]]]:
@@ -154,7 +184,14 @@ def some(count: int = 60) -> tuple[list[FoundRow], list[Mapping[str, float]]]:
     rows, known = [], []
     for k in range(count):
         depth, shear, tilt = rng.uniform(1, 5), rng.uniform(-5, 5, 2), rng.uniform(-20, 20, 2)
-        rows.append(row(k, 0.5 * depth + 0.2, tuple((0.8 * turned @ shear).tolist()), tuple((turned @ tilt).tolist())))
+        rows.append(
+            row(
+                k,
+                0.5 * depth + 0.2,
+                tuple((0.8 * turned @ shear).tolist()),
+                tuple((turned @ tilt).tolist()),
+            )
+        )
         known.append(
             {
                 "depth_mm": depth,

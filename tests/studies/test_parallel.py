@@ -48,7 +48,10 @@ def test_fresh_is_a_process_for_each_task_and_results_keep_their_order() -> None
 
 @pytest.mark.slow
 def test_a_killed_process_is_one_line() -> None:
-    with pytest.raises(DeviceError, match="the system killed a worker process"), processes() as pool:
+    with (
+        pytest.raises(DeviceError, match="the system killed a worker process"),
+        processes() as pool,
+    ):
         list(pool.map(die, [0, 1]))
 
 
@@ -79,7 +82,9 @@ if __name__ == "__main__":
 def test_no_process_outlives_the_command(tmp_path: Path) -> None:
     path = tmp_path / "work.py"
     path.write_text(SCRIPT, encoding="utf-8")
-    with subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as made:
+    with subprocess.Popen(
+        [sys.executable, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as made:
         assert made.stdout is not None
         workers = [int(made.stdout.readline()) for _ in range(usable_cores())]
         made.send_signal(signal.SIGKILL)

@@ -32,12 +32,16 @@ from tacshade_edge.studies.evaluate.work import read_images, reconstructor, scor
 from tacshade_edge.types import F32, Bool, Frame, HeightMap, Reconstruction
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
-CLOUDS = hnp.arrays(np.float32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-30, 30, width=32))
+CLOUDS = hnp.arrays(
+    np.float32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-30, 30, width=32)
+)
 
 
 def nearest_mean(a: F32, b: F32) -> float:
     """Brute force: mean over `a` of the distance to the nearest of `b`."""
-    apart: npt.NDArray[np.float64] = np.linalg.norm(a[:, None].astype(float) - b[None].astype(float), axis=-1)
+    apart: npt.NDArray[np.float64] = np.linalg.norm(
+        a[:, None].astype(float) - b[None].astype(float), axis=-1
+    )
     return float(apart.min(axis=1).mean())
 
 
@@ -62,14 +66,21 @@ NOTHING = np.zeros((0, 3), dtype=np.float32)
 
 
 def found(touched: bool) -> Reconstruction:
-    return reconstructor(painted_calibration(), "fast").step(Frame(0, 0, 0, TOUCHED if touched else FREE))
+    return reconstructor(painted_calibration(), "fast").step(
+        Frame(0, 0, 0, TOUCHED if touched else FREE)
+    )
 
 
 def truth_of(result: Reconstruction) -> KnownTruth:
     """A truth that the result meets exactly."""
     height = result.height
     return KnownTruth(
-        result.cloud.points_mm, result.depth_max_mm, height.contact, height.row0, height.col0, height.step_px
+        result.cloud.points_mm,
+        result.depth_max_mm,
+        height.contact,
+        height.row0,
+        height.col0,
+        height.step_px,
     )
 
 
@@ -84,13 +95,21 @@ def test_a_perfect_result() -> None:
 def test_a_missed_contact_and_a_phantom() -> None:
     nothing, something = found(touched=False), found(touched=True)
     missed = score(LABEL, truth_of(something), nothing)
-    assert (missed.contact, missed.sd_pct, missed.iou, missed.depth_error_pct) == (False, 0, 0, -100)
+    assert (missed.contact, missed.sd_pct, missed.iou, missed.depth_error_pct) == (
+        False,
+        0,
+        0,
+        -100,
+    )
     assert math.isnan(missed.me_mm)
     for known in (NOTHING, truth_of(something).points_mm):  # nothing touches, or without any depth
         phantom = score(LABEL, KnownTruth(known, 0.0, None), something)
         assert phantom.contact
         assert phantom.found_depth_mm > 0
-        assert all(math.isnan(v) for v in (phantom.me_mm, phantom.sd_pct, phantom.iou, phantom.depth_error_pct))
+        assert all(
+            math.isnan(v)
+            for v in (phantom.me_mm, phantom.sd_pct, phantom.iou, phantom.depth_error_pct)
+        )
 
 
 def on_grid(contact: Bool, row0: float, col0: float, step: float) -> HeightMap:
@@ -107,7 +126,13 @@ def test_a_truth_of_pixels_at_the_cells_of_another_grid() -> None:
     coarse = KnownTruth(NOTHING, 0.0, np.array([[True, False], [False, True]]), 10, 10, 20)
     fine = coarse.contact_on(on_grid(np.zeros((60, 60), bool), 0, 0, 1))
     assert fine is not None
-    assert (fine[10, 10], fine[10, 30], fine[30, 30], fine[59, 59], fine[15, 12]) == (True, False, True, False, True)
+    assert (fine[10, 10], fine[10, 30], fine[30, 30], fine[59, 59], fine[15, 12]) == (
+        True,
+        False,
+        True,
+        False,
+        True,
+    )
     assert contact_iou(fine, fine) == 1
     assert KnownTruth(NOTHING, 0.0, None).contact_on(cells) is None
 
@@ -136,7 +161,9 @@ def truth(**changes: Any) -> dict[str, Any]:
     """A disc pressed 2 mm deep in the middle; None leaves a key out."""
     rows, cols = np.ogrid[:HEIGHT, :WIDTH]
     off = np.hypot(rows - DISC.row_c, cols - DISC.col_c)
-    height = np.where(off <= DISC.radius_px, np.where(off < 20, 2.0, 0.0), np.nan).astype(np.float32)
+    height = np.where(off <= DISC.radius_px, np.where(off < 20, 2.0, 0.0), np.nan).astype(
+        np.float32
+    )
     made = {"height_mm": height, "contact": off < 20, "object": "coin", **changes}
     return {key: value for key, value in made.items() if value is not None}
 
@@ -144,7 +171,10 @@ def truth(**changes: Any) -> dict[str, Any]:
 def at_cells(known: Bool, height: HeightMap, first_px: float = 0.0, step_px: float = 1.0) -> Bool:
     """What is known nearest to each cell of a height map."""
     cells = height.step_px * np.arange(len(height.contact))
-    rows, cols = (np.rint((first + cells - first_px) / step_px).astype(int) for first in (height.row0, height.col0))
+    rows, cols = (
+        np.rint((first + cells - first_px) / step_px).astype(int)
+        for first in (height.row0, height.col0)
+    )
     return np.asarray(known[np.ix_(rows, cols)])
 
 
@@ -169,21 +199,34 @@ class Heard:
 
 def scored(folder: Path) -> tuple[list[Row], list[str]]:
     heard = Heard([])
-    cases = read_images(CALIBRATION, "mine", sorted(folder.glob("*.png")), heard.progress, heard.mistake)
+    cases = read_images(
+        CALIBRATION, "mine", sorted(folder.glob("*.png")), heard.progress, heard.mistake
+    )
     return score_cases(CALIBRATION, ("fast",), cases), heard.lines
 
 
 def test_own_images_score_as_the_metrics_do(tmp_path: Path) -> None:
     put(tmp_path, "a", TOUCHED, truth())
-    put(tmp_path, "b", FREE, truth(height_mm=np.zeros(SIZE, np.float32), contact=np.zeros(SIZE, bool)))
+    put(
+        tmp_path,
+        "b",
+        FREE,
+        truth(height_mm=np.zeros(SIZE, np.float32), contact=np.zeros(SIZE, bool)),
+    )
     (pressed, free), lines = scored(tmp_path)
     assert lines == []
     made = reconstructor(CALIBRATION, "fast")
     result = made.step(Frame(0, 0, 0, TOUCHED))
     known, name = read_truth(tmp_path / "a.npz", SIZE, CALIBRATION.geometry)
     direct = score_cloud(result.cloud.points_mm, known.points_mm, 2.0)
-    assert (pressed.me_mm, pressed.sd_pct, pressed.backward_mm) == (direct.me_mm, 100 * direct.sd, direct.backward_mm)
-    assert pressed.iou == contact_iou(result.height.contact, at_cells(truth()["contact"], result.height))
+    assert (pressed.me_mm, pressed.sd_pct, pressed.backward_mm) == (
+        direct.me_mm,
+        100 * direct.sd,
+        direct.backward_mm,
+    )
+    assert pressed.iou == contact_iou(
+        result.height.contact, at_cells(truth()["contact"], result.height)
+    )
     assert (pressed.object, pressed.image, name) == ("coin", "a.png", "coin")
     assert (free.object, free.contact, free.true_points) == ("none", False, 0)
 
@@ -204,7 +247,10 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (truth(contact=None), "found the keys height_mm, object; expected points_mm, or height_mm and contact"),
+        (
+            truth(contact=None),
+            "found the keys height_mm, object; expected points_mm, or height_mm and contact",
+        ),
         (
             truth(contact=np.zeros((30, 40), bool)),
             "contact: found 40x30 cells of 1 px, expected cells that cover the image's",
@@ -214,15 +260,30 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
             truth(points_mm=np.zeros((4, 2))),
             "points_mm: found numbers of shape (4, 2), expected the shape (N, 3)",
         ),
-        (truth(points_mm=np.full((4, 3), 1e300)), "points_mm: found 1e+300, expected numbers from -1e+06"),
+        (
+            truth(points_mm=np.full((4, 3), 1e300)),
+            "points_mm: found 1e+300, expected numbers from -1e+06",
+        ),
         (truth(points_mm=np.full((4, 3), 0.01)), "greatest depth is 20 mm"),  # in m
-        (truth(height_mm=np.full(SIZE, 0.003)), "greatest depth is 0.003 mm, expected a depth from 0.02 to 16 mm"),
+        (
+            truth(height_mm=np.full(SIZE, 0.003)),
+            "greatest depth is 0.003 mm, expected a depth from 0.02 to 16 mm",
+        ),
         (truth(height_mm=np.full(SIZE, 2**64 - 1, np.uint64)), "height_mm: found 1.84467e+19"),
-        (truth(height_mm=np.zeros((31, 40)), contact=np.zeros((30, 40)), step_px=4.0), "or other cells"),
+        (
+            truth(height_mm=np.zeros((31, 40)), contact=np.zeros((30, 40)), step_px=4.0),
+            "or other cells",
+        ),
         ({"x" * 400: 1}, "…'; expected points_mm"),
         (truth(shear_mm=np.zeros((*SIZE, 3))), "shear_mm: found numbers of shape (120, 160, 3)"),
-        (truth(points_mm=np.array(["a"])), "points_mm: found <U1 values of shape (1,), expected numbers"),
-        (truth(height_mm=np.zeros((2, 120, 160))), "height_mm: found float64 values of shape (2, 120, 160)"),
+        (
+            truth(points_mm=np.array(["a"])),
+            "points_mm: found <U1 values of shape (1,), expected numbers",
+        ),
+        (
+            truth(height_mm=np.zeros((2, 120, 160))),
+            "height_mm: found float64 values of shape (2, 120, 160)",
+        ),
         (truth(step_px=0.0), "step_px: found 0.0, expected a number above 0"),
         (
             truth(row0=np.array([1.0, 2.0])),
@@ -232,7 +293,9 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
         (truth(height_mm=np.zeros(SIZE)), "a contact whose greatest depth is 0 mm"),
     ],
 )
-def test_a_truth_that_cannot_be_is_one_line(tmp_path: Path, content: dict[str, Any], message: str) -> None:
+def test_a_truth_that_cannot_be_is_one_line(
+    tmp_path: Path, content: dict[str, Any], message: str
+) -> None:
     np.savez(tmp_path / "t.npz", **content)
     with pytest.raises(DecodeError) as error:
         read_truth(tmp_path / "t.npz", SIZE, CALIBRATION.geometry)

@@ -24,7 +24,9 @@ from tacshade_edge.studies.stitch.truth import radius_average, read_known, score
 from tacshade_edge.types import Pose
 
 POINTS = PressPoints(
-    np.array(((0, 0, 19), (1, 0, 19)), np.float32), np.ones((2, 3), np.float32), np.ones(2, np.float32)
+    np.array(((0, 0, 19), (1, 0, 19)), np.float32),
+    np.ones((2, 3), np.float32),
+    np.ones(2, np.float32),
 )
 MS = 1_000_000
 
@@ -49,7 +51,9 @@ class FakeRecording:
 class FakeReconstructor:
     def step(self, given: Any) -> SimpleNamespace:
         depth_mm = given.depth_mm
-        return SimpleNamespace(t_ns=given.t_ns, valid=True, contact=depth_mm > 0, depth_max_mm=depth_mm, height=None)
+        return SimpleNamespace(
+            t_ns=given.t_ns, valid=True, contact=depth_mm > 0, depth_max_mm=depth_mm, height=None
+        )
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +69,9 @@ def press_down_and_up(first_ms: int) -> list[SimpleNamespace | DecodeError]:
 
 
 def read(frames: list[SimpleNamespace | DecodeError]) -> tuple[list[Any], list[Reason]]:
-    return read_contact_frames(SimpleNamespace(geometry=None), PROFILES["fast"], FakeRecording(frames))  # type: ignore[arg-type]
+    return read_contact_frames(
+        SimpleNamespace(geometry=None), PROFILES["fast"], FakeRecording(frames)
+    )  # type: ignore[arg-type]
 
 
 def test_a_press_has_a_frame_at_rest_and_some_of_its_motion() -> None:
@@ -151,8 +157,19 @@ def test_a_file_of_the_contracts_keys_is_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        *({"z_mm": np.zeros(3)}, {"step_mm": 0.0}, {"z_mm": np.full((2, 2), np.nan)}, {"z_mm": None}),
-        *({"step_mm": np.inf}, {"step_mm": 1e-300}, {"x0_mm": np.nan}, {"x0_mm": np.zeros(2)}, {"z_mm": np.array("a")}),
+        *(
+            {"z_mm": np.zeros(3)},
+            {"step_mm": 0.0},
+            {"z_mm": np.full((2, 2), np.nan)},
+            {"z_mm": None},
+        ),
+        *(
+            {"step_mm": np.inf},
+            {"step_mm": 1e-300},
+            {"x0_mm": np.nan},
+            {"x0_mm": np.zeros(2)},
+            {"z_mm": np.array("a")},
+        ),
         *(
             {"z_mm": np.array([[None]])},
             {"z_mm": np.full((2, 2), 1e7)},

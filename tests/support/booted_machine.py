@@ -29,13 +29,25 @@ def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[
     """What a script of tests/service saw; it has `folder` as /payload, and the Python at the path `python` there."""
     parts = {
         f"tests/service/{scenario}": scenario,
-        **{f"tests/support/{name}": f"support/{name}" for name in ("__init__.py", "booted_service.py")},
-        **{path: path for path in ("tools/__init__.py", "tools/testbed/__init__.py", "tools/testbed/patience.py")},
+        **{
+            f"tests/support/{name}": f"support/{name}"
+            for name in ("__init__.py", "booted_service.py")
+        },
+        **{
+            path: path
+            for path in (
+                "tools/__init__.py",
+                "tools/testbed/__init__.py",
+                "tools/testbed/patience.py",
+            )
+        },
     }
     for path, there in parts.items():
         (folder / there).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(CHECKOUT / path, folder / there)
-    (folder / "scenario").write_text(f"#!/bin/bash\nexec {python} /payload/{scenario} {Path(python).name}\n")
+    (folder / "scenario").write_text(
+        f"#!/bin/bash\nexec {python} /payload/{scenario} {Path(python).name}\n"
+    )
     (folder / "scenario").chmod(0o755)
     limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}
     command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *options]
@@ -53,7 +65,17 @@ LOCK = Path(__file__).parents[2] / "systemd/requirements.lock"
 
 def fetch(folder: Path) -> Path:
     """Into a folder, for the Python that runs; skips the test where they are out of reach."""
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--require-hashes", "--no-deps", "-d", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--require-hashes",
+        "--no-deps",
+        "-d",
+        str(folder),
+    ]
     done = subprocess.run([*command, "-r", str(LOCK)], capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip(f"pip cannot fetch the program's packages here: {done.stderr.strip()[-300:]}")

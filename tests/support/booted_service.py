@@ -26,7 +26,9 @@ PTRACE_SEIZE, PTRACE_INTERRUPT, PTRACE_DETACH, WALL = 0x4206, 0x4207, 17, 0x4000
 
 def sh(*command: str, **environment: str) -> tuple[int, str]:
     """Exit code and output."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
+    )
     return done.returncode, (done.stdout + done.stderr).strip()
 
 
@@ -40,7 +42,9 @@ def until(condition: Callable[[dict[str, str]], bool], seconds: float) -> dict[s
     began = time.monotonic()
     deadline = began + patience(seconds)
     while not condition(now := show()) and time.monotonic() < deadline:
-        time.sleep(max(0.1, time.monotonic() - began))  # emulated, a look takes a core most of a second
+        time.sleep(
+            max(0.1, time.monotonic() - began)
+        )  # emulated, a look takes a core most of a second
         began = time.monotonic()
     return now
 

@@ -30,13 +30,20 @@ _FLAGS = (
 
 
 @contextmanager
-def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100)) -> Iterator[webdriver.Chrome]:
+def browser(
+    profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100)
+) -> Iterator[webdriver.Chrome]:
     """A browser without history; `profile` is an empty folder for its files."""
     assert CHROMIUM is not None
     assert DRIVER is not None
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
-    for flag in (*_FLAGS, f"--user-data-dir={profile}", f"--window-size={size_px[0]},{size_px[1]}", *flags):
+    for flag in (
+        *_FLAGS,
+        f"--user-data-dir={profile}",
+        f"--window-size={size_px[0]},{size_px[1]}",
+        *flags,
+    ):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(DRIVER))
@@ -49,7 +56,9 @@ def browser(profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100))
 def errors(driver: webdriver.Chrome) -> list[str]:
     """The page's errors and warnings since the last call, including those of the security policy."""
     reported = [
-        f"{e['level']} {e['message']}" for e in driver.get_log("browser") if e["level"] in ("SEVERE", "WARNING")
+        f"{e['level']} {e['message']}"
+        for e in driver.get_log("browser")
+        if e["level"] in ("SEVERE", "WARNING")
     ]
     return [
         line for line in reported if "GL Driver Message" not in line

@@ -13,7 +13,9 @@ DARK, BRIGHT = 30, 200
 SPREAD = 1.16
 
 
-def marked(height_px: int, width_px: int, pitch_px: float, disc: Disc, *, pressed_px: float = 0.0) -> U8:
+def marked(
+    height_px: int, width_px: int, pitch_px: float, disc: Disc, *, pressed_px: float = 0.0
+) -> U8:
     """Bright round markers on dark ground, with soft edges; larger and spread within `pressed_px` of its middle."""
     rows, cols = np.ogrid[:height_px, :width_px]
     pressed = np.hypot(rows - disc.row_c, cols - disc.col_c) < pressed_px
@@ -23,7 +25,9 @@ def marked(height_px: int, width_px: int, pitch_px: float, disc: Disc, *, presse
         for at, middle in ((rows, disc.row_c), (cols, disc.col_c))
     )
     from_marker = np.hypot(cell_rows, cell_cols) / pitch_px
-    cover = np.clip((np.where(pressed, 0.42, 0.28) - from_marker) * max(pitch_px / 2, 2) + 0.5, 0, 1)
+    cover = np.clip(
+        (np.where(pressed, 0.42, 0.28) - from_marker) * max(pitch_px / 2, 2) + 0.5, 0, 1
+    )
     return np.asarray(np.rint(DARK + (BRIGHT - DARK) * cover), np.uint8)
 
 
@@ -94,7 +98,11 @@ def sparse_dome(
 ) -> U8:
     """Draw it; `pressed` spreads the pins of the middle, `exposure_grey` lifts all that is dark."""
     image = np.full(SIZE, DARK + exposure_grey, np.float32)
-    at = np.hypot(*np.meshgrid(np.arange(SIZE[0]) - DOME.row_c, np.arange(SIZE[1]) - DOME.col_c, indexing="ij"))
+    at = np.hypot(
+        *np.meshgrid(
+            np.arange(SIZE[0]) - DOME.row_c, np.arange(SIZE[1]) - DOME.col_c, indexing="ij"
+        )
+    )
     image[at > DOME.radius_px] = LAMPS
     image[at > 1.35 * DOME.radius_px] = 70
     light = np.maximum(1 - 0.5 * (at / DOME.radius_px) ** 2, 0.3)
@@ -104,7 +112,9 @@ def sparse_dome(
         far = float(np.linalg.norm(off))
         if pressed and far < 110:
             row, col = (DOME.row_c, DOME.col_c) + off * (1 + 0.35 * (1 - far / 110))
-        cv2.circle(pins, (round(16 * col), round(16 * row)), round(16 * 4.5), 1.0, -1, cv2.LINE_AA, 4)
+        cv2.circle(
+            pins, (round(16 * col), round(16 * row)), round(16 * 4.5), 1.0, -1, cv2.LINE_AA, 4
+        )
     image += cv2.GaussianBlur(pins, (0, 0), 1.2) * contrast_grey * light
     image += np.random.default_rng(seed).normal(0, noise_grey, SIZE)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -28,9 +28,13 @@ if TYPE_CHECKING:
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.
-HALF = replace(FULL, image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5)
+HALF = replace(
+    FULL, image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5
+)
 TACTIP = tactip(HALF)
-EVERY_PROFILE = [pytest.param(name, marks=pytest.mark.slow) if name == "paper" else name for name in PROFILES]
+EVERY_PROFILE = [
+    pytest.param(name, marks=pytest.mark.slow) if name == "paper" else name for name in PROFILES
+]
 
 
 def sensor_of(model: SensorModel) -> Sensor:
@@ -79,7 +83,11 @@ def calibrated(model: SensorModel = HALF, count: int = 20) -> Calibration:
 
     def made() -> Calibration:
         table = presses(model, count) if count else ()
-        return with_crc(calibrate(sensor_of(model), references(model), table, networks=load_networks()).calibration)
+        return with_crc(
+            calibrate(
+                sensor_of(model), references(model), table, networks=load_networks()
+            ).calibration
+        )
 
     return once_for_all_workers(f"calibrated {model!r} {count}", made)
 

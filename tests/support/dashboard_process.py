@@ -15,7 +15,17 @@ from tools.testbed.patience import patience
 @contextmanager
 def dashboard(broker: str, *words: str) -> Iterator[str]:
     """Run it on a free port for a broker at HOST:PORT; yield the page's address."""
-    command = [sys.executable, "-m", "tacshade_edge", "dashboard", "--broker", broker, "--http", "0", *words]
+    command = [
+        sys.executable,
+        "-m",
+        "tacshade_edge",
+        "dashboard",
+        "--broker",
+        broker,
+        "--http",
+        "0",
+        *words,
+    ]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout is not None

@@ -31,7 +31,8 @@ def stripes(period_px: int, axis: int) -> Maker:
     def make(rows: int, cols: int) -> U8:
         at = np.indices((rows, cols), sparse=True)[axis]
         return np.broadcast_to(
-            np.where(at % period_px < (period_px + 1) // 2, np.uint8(255), np.uint8(0)), (rows, cols)
+            np.where(at % period_px < (period_px + 1) // 2, np.uint8(255), np.uint8(0)),
+            (rows, cols),
         )
 
     return make
@@ -49,7 +50,9 @@ def spike(high: int, ground: int, side_px: int = 1) -> Maker:
 def step(low: int, high: int, axis: int, at: float = 0.5) -> Maker:
     def make(rows: int, cols: int) -> U8:
         index = np.indices((rows, cols), sparse=True)[axis]
-        return np.broadcast_to(np.where(index < at * (rows, cols)[axis], np.uint8(low), np.uint8(high)), (rows, cols))
+        return np.broadcast_to(
+            np.where(index < at * (rows, cols)[axis], np.uint8(low), np.uint8(high)), (rows, cols)
+        )
 
     return make
 
@@ -63,7 +66,9 @@ def salt(seed: int, part: float, ground: int) -> Maker:
     def make(rows: int, cols: int) -> U8:
         rng = np.random.default_rng(seed)
         hit = rng.random((rows, cols)) < part
-        return np.where(hit, rng.integers(0, 2, (rows, cols), np.uint8) * np.uint8(255), np.uint8(ground))
+        return np.where(
+            hit, rng.integers(0, 2, (rows, cols), np.uint8) * np.uint8(255), np.uint8(ground)
+        )
 
     return make
 
@@ -79,9 +84,19 @@ def ramp(axis: int) -> Maker:
 
 EXTREME_IMAGES: dict[str, Maker] = {
     **{f"constant {level}": constant(level) for level in (0, 1, 12, 127, 128, 254, 255)},
-    **{f"checkerboard {period} px": checkerboard(period) for period in (2, 3, 4, 5, 7, 8, 11, 16, 23, 32, 64, 128)},
-    **{f"faint checkerboard {period} px": checkerboard(period, 120, 136) for period in (2, 3, 8, 17, 32)},
-    **{f"stripes {period} px, axis {axis}": stripes(period, axis) for period in (2, 5, 8, 16) for axis in (0, 1)},
+    **{
+        f"checkerboard {period} px": checkerboard(period)
+        for period in (2, 3, 4, 5, 7, 8, 11, 16, 23, 32, 64, 128)
+    },
+    **{
+        f"faint checkerboard {period} px": checkerboard(period, 120, 136)
+        for period in (2, 3, 8, 17, 32)
+    },
+    **{
+        f"stripes {period} px, axis {axis}": stripes(period, axis)
+        for period in (2, 5, 8, 16)
+        for axis in (0, 1)
+    },
     "white spike": spike(255, 0),
     "black spike": spike(0, 255),
     "spot": spike(255, 90, 9),
@@ -118,17 +133,30 @@ EXTREME_MAPS: dict[str, Callable[[int, int], F32]] = {
         name: lambda r, c, image=image: 2 * image(r, c).astype(np.float32) - 255
         for name, image in EXTREME_IMAGES.items()
     },
-    "antidiagonal": lambda r, c: np.subtract.outer(np.arange(r), np.arange(c)).astype(np.float32),  # p = -q everywhere
+    "antidiagonal": lambda r, c: np.subtract.outer(np.arange(r), np.arange(c)).astype(
+        np.float32
+    ),  # p = -q everywhere
     "normal noise": lambda r, c: np.random.default_rng(4).normal(0, 100, (r, c)).astype(np.float32),
-    "subnormal noise": lambda r, c: (np.random.default_rng(5).normal(0, 1e-42, (r, c))).astype(np.float32),
-    "smallest step": lambda r, c: np.where(np.arange(c) < c // 2, 0, np.float32(1e-45)) * np.ones((r, 1), np.float32),
+    "subnormal noise": lambda r, c: (np.random.default_rng(5).normal(0, 1e-42, (r, c))).astype(
+        np.float32
+    ),
+    "smallest step": lambda r, c: (
+        np.where(np.arange(c) < c // 2, 0, np.float32(1e-45)) * np.ones((r, 1), np.float32)
+    ),
     "last digit": lambda r, c: (
         np.where(np.arange(c) < c // 2, 100, np.nextafter(np.float32(100), np.float32(101)))
         * np.ones((r, 1), np.float32)
     ),
 }
 
-BEYOND: dict[str, float] = {"nan": np.nan, "inf": np.inf, "-inf": -np.inf, "1e38": 1e38, "-3e38": -3e38, "1000": 1000.0}
+BEYOND: dict[str, float] = {
+    "nan": np.nan,
+    "inf": np.inf,
+    "-inf": -np.inf,
+    "1e38": 1e38,
+    "-3e38": -3e38,
+    "1000": 1000.0,
+}
 """Values that no grey level has."""
 
 any_floats = st.floats(width=32)

@@ -38,7 +38,16 @@ class ConfiguredBroker(Broker):
 def certify(folder: Path, stem: str, name: str, *words: str) -> None:
     """Write ``STEM.pem`` and ``STEM.key`` for a common name, as docs/how-to/many-boards.md says."""
     options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2"
-    command = ["openssl", *options.split(), "-subj", f"/CN={name}", "-keyout", f"{stem}.key", "-out", f"{stem}.pem"]
+    command = [
+        "openssl",
+        *options.split(),
+        "-subj",
+        f"/CN={name}",
+        "-keyout",
+        f"{stem}.key",
+        "-out",
+        f"{stem}.pem",
+    ]
     subprocess.run([*command, *words], cwd=folder, check=True, capture_output=True)
 
 
@@ -46,15 +55,22 @@ def central(folder: Path) -> ConfiguredBroker:
     """The central broker; boards connect to `port`, the user `USER` to the port of `people_port`."""
     certify(folder, "ca", "fleet")
     certify(
-        folder, "central", "127.0.0.1", *["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "subjectAltName=IP:127.0.0.1"]
+        folder,
+        "central",
+        "127.0.0.1",
+        *["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "subjectAltName=IP:127.0.0.1"],
     )
     passwords = folder / "passwords"
     passwords.touch(0o600)
-    subprocess.run(["mosquitto_passwd", "-b", passwords, USER, WORD], check=True, capture_output=True)
+    subprocess.run(
+        ["mosquitto_passwd", "-b", passwords, USER, WORD], check=True, capture_output=True
+    )
     (folder / "central.acl").write_bytes((FILES / "central.acl").read_bytes())
     (folder / "central.acl").chmod(0o600)
     port, people = free_port(), free_port()
-    kept = f"persistence true\npersistence_location {folder}/\n"  # as Debian's mosquitto.conf has it
+    kept = (
+        f"persistence true\npersistence_location {folder}/\n"  # as Debian's mosquitto.conf has it
+    )
     text = kept + (FILES / "central.conf").read_text().replace("/etc/mosquitto/fleet", str(folder))
     text = text.replace("listener 8883", f"listener {port} 127.0.0.1").replace(
         "listener 8884", f"listener {people} 127.0.0.1"
@@ -64,14 +80,20 @@ def central(folder: Path) -> ConfiguredBroker:
 
 def people_port(folder: Path) -> int:
     """The port on which a folder's central broker requires a password."""
-    return int(re.findall(r"^listener (\d+)", (folder / "central.conf").read_text(), re.MULTILINE)[1])
+    return int(
+        re.findall(r"^listener (\d+)", (folder / "central.conf").read_text(), re.MULTILINE)[1]
+    )
 
 
 def board(folder: Path, name: str, central_port: int) -> ConfiguredBroker:
     """A board's broker, for this machine only, which sends to the central one with its own certificate."""
     certify(folder, name, name, *["-CA", "ca.pem", "-CAkey", "ca.key"])
-    text = (FILES / "board.conf").read_text().replace("/etc/mosquitto/fleet/board", str(folder / name))
-    text = text.replace("/etc/mosquitto/fleet", str(folder)).replace("CENTRAL:8883", f"127.0.0.1:{central_port}")
+    text = (
+        (FILES / "board.conf").read_text().replace("/etc/mosquitto/fleet/board", str(folder / name))
+    )
+    text = text.replace("/etc/mosquitto/fleet", str(folder)).replace(
+        "CENTRAL:8883", f"127.0.0.1:{central_port}"
+    )
     port = free_port()
     own = f"max_queued_messages 20\nlistener {port} 127.0.0.1\nallow_anonymous true\n"
     return ConfiguredBroker(folder / f"{name}.conf", port, own + text.replace("BOARD", name))
@@ -81,17 +103,26 @@ class CentralClient:
     """A client of the central broker: the user `USER`, or a board (`name`) by its certificate from a folder."""
 
     def __init__(
-        self, folder: Path, port: int, hear: Callable[[MQTTMessage], None], name: str | None = None, *topics: str
+        self,
+        folder: Path,
+        port: int,
+        hear: Callable[[MQTTMessage], None],
+        name: str | None = None,
+        *topics: str,
     ) -> None:
         # With a session that outlasts a cut: the boards may be back before this client.
-        self.client = Client(CallbackAPIVersion.VERSION2, client_id=f"fleet-{name or USER}", clean_session=not topics)
+        self.client = Client(
+            CallbackAPIVersion.VERSION2, client_id=f"fleet-{name or USER}", clean_session=not topics
+        )
         files = () if name is None else (str(folder / f"{name}.pem"), str(folder / f"{name}.key"))
         self.client.tls_set(str(folder / "ca.pem"), *files)
         if name is None:
             self.client.username_pw_set(USER, WORD)
         self.client.reconnect_delay_set(1, 1)
         if topics:
-            self.client.on_connect = lambda client, *_: client.subscribe([(topic, 1) for topic in topics])
+            self.client.on_connect = lambda client, *_: client.subscribe(
+                [(topic, 1) for topic in topics]
+            )
         self.client.on_message = lambda _client, _data, message: hear(message)
         self.client.connect_async("127.0.0.1", port, keepalive=10)
 
@@ -101,7 +132,10 @@ class CentralClient:
         return self.client
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.client.disconnect()
         self.client.loop_stop()

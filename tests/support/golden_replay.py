@@ -25,7 +25,11 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "replay.json"
 FRAMES = 200
 SEED = 5000  # none of the calibration's images has one of these
 SCRIPT = Script(
-    tuple(replace(press, depth_mm=2.5) for press in demonstration().presses), approach=5, hold=6, release=5, pause=4
+    tuple(replace(press, depth_mm=2.5) for press in demonstration().presses),
+    approach=5,
+    hold=6,
+    release=5,
+    pause=4,
 )
 
 

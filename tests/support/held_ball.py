@@ -18,7 +18,13 @@ BALL_MM, DEPTH_MM = 40.0, 1.5
 BALL = Shape("sphere", lambda p: np.asarray(np.linalg.norm(p, axis=1) - np.float32(BALL_MM)))
 HOME = Rigid(np.eye(3), np.zeros(3))
 MODEL = replace(
-    SensorModel(), image_height_px=120, image_width_px=160, row_c=58.7, col_c=82.3, disc_radius_px=51.0, bulge=0.0
+    SensorModel(),
+    image_height_px=120,
+    image_width_px=160,
+    row_c=58.7,
+    col_c=82.3,
+    disc_radius_px=51.0,
+    bulge=0.0,
 )
 
 

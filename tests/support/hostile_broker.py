@@ -25,8 +25,21 @@ def publish(topic: bytes, payload: bytes = b"x") -> bytes:
 
 _LONG = b"a" * 65_000
 BAD_TOPICS = (
-    *(b"tacshade/\xff\xfe/state", b"", b"x", b"/", b"\0", b"\xff" * 65_535, b"tacshade/test/req/\xff" + _LONG),
-    *(b"tacshade/test/req/#", b"tacshade/test/req/+/a", b"tacshade/test/req/\x1b[2J", b"tacshade/test/req/" + _LONG),
+    *(
+        b"tacshade/\xff\xfe/state",
+        b"",
+        b"x",
+        b"/",
+        b"\0",
+        b"\xff" * 65_535,
+        b"tacshade/test/req/\xff" + _LONG,
+    ),
+    *(
+        b"tacshade/test/req/#",
+        b"tacshade/test/req/+/a",
+        b"tacshade/test/req/\x1b[2J",
+        b"tacshade/test/req/" + _LONG,
+    ),
 )
 BAD = b"".join(map(publish, BAD_TOPICS))
 """Topics that nobody may publish on or that nobody subscribed to."""
@@ -58,7 +71,10 @@ class HostileBroker:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
@@ -85,12 +101,20 @@ class HostileBroker:
                 if kind == 0x10:
                     peer.sendall(packet(0x20, b"\0\0\0"))
                 elif kind == 0x82:
-                    peer.sendall(packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra)) + self._raw)
+                    peer.sendall(
+                        packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra))
+                        + self._raw
+                    )
                 elif kind & 0xF0 == 0x30 and len(body) > self._bytes_max:
                     return
                 elif kind & 0xF6 == 0x32:
                     size = int.from_bytes(body[:2], "big")
-                    peer.sendall(packet(0x40, body[2 + size : 4 + size] + bytes((self._code,) if self._code else ())))
+                    peer.sendall(
+                        packet(
+                            0x40,
+                            body[2 + size : 4 + size] + bytes((self._code,) if self._code else ()),
+                        )
+                    )
                     if self._echo:
                         peer.sendall(packet(0x30, body[: 2 + size] + body[4 + size :]))
                 elif kind == 0xC0:

@@ -28,15 +28,19 @@ def message(payload: bytes, t_ns: int, channel: int = 1) -> bytes:
 
 def described(schema: str = "foxglove.CompressedImage", topic: str = "/cam") -> bytes:
     """The schema and the channel with number 1."""
-    return record(SCHEMA, struct.pack("<H", 1) + text(schema) + text("protobuf") + bytes(4)) + record(
-        CHANNEL, struct.pack("<HH", 1, 1) + text(topic) + text("protobuf") + bytes(4)
-    )
+    return record(
+        SCHEMA, struct.pack("<H", 1) + text(schema) + text("protobuf") + bytes(4)
+    ) + record(CHANNEL, struct.pack("<HH", 1, 1) + text(topic) + text("protobuf") + bytes(4))
 
 
 def chunk(packed: bytes, compression: str, size: int, crc: int = 0) -> bytes:
     """A chunk that declares the given compression, size and CRC."""
     return record(
-        CHUNK, struct.pack("<QQQI", 0, 1, size, crc) + text(compression) + struct.pack("<Q", len(packed)) + packed
+        CHUNK,
+        struct.pack("<QQQI", 0, 1, size, crc)
+        + text(compression)
+        + struct.pack("<Q", len(packed))
+        + packed,
     )
 
 

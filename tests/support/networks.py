@@ -40,12 +40,20 @@ DISPLACED = Network(4, 112, lambda known: known, displaced)
 
 def answering(fold: int, sense: Callable[[F32], F32], run: Callable[[F32, F32], F32]) -> Network:
     """Make one of a function of its own; every cell is trusted, and the skin is `displaced`."""
-    return Network(fold, 112, sense, lambda white, sensor, _: [run(white, sensor), ALL_TRUSTED[None]], DISPLACED)
+    return Network(
+        fold,
+        112,
+        sense,
+        lambda white, sensor, _: [run(white, sensor), ALL_TRUSTED[None]],
+        DISPLACED,
+    )
 
 
 def saying(depth_and_contact: F32, untrusted: F32 = ALL_TRUSTED) -> Network:
     """Make one of 4x4 folded maps that says the same of every frame; the skin is `displaced`."""
-    return Network(4, 112, lambda known: known, lambda *given: [depth_and_contact, untrusted[None]], DISPLACED)
+    return Network(
+        4, 112, lambda known: known, lambda *given: [depth_and_contact, untrusted[None]], DISPLACED
+    )
 
 
 def float_network(name: str, folder: Path) -> Network:
@@ -84,9 +92,13 @@ def fitted_network(profile: str, by: float = 0.0, layout: str | None = None) -> 
     assert name is not None
     weights = np.concatenate([values_of(data) for data in network_files(name)])
     weights += np.float32(by)
-    return FittedNetwork(layout or shipped_layout(name), weights, 8, error_mm=0.2, shipped_error_mm=0.4)
+    return FittedNetwork(
+        layout or shipped_layout(name), weights, 8, error_mm=0.2, shipped_error_mm=0.4
+    )
 
 
-def fitted_with(profile: str, calibration: Calibration, by: float = 0.0, layout: str | None = None) -> Calibration:
+def fitted_with(
+    profile: str, calibration: Calibration, by: float = 0.0, layout: str | None = None
+) -> Calibration:
     """A calibration with `fitted_network`."""
     return replace(calibration, fitted={profile: fitted_network(profile, by, layout)})

@@ -37,7 +37,14 @@ def _observe(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     preprocessor = Preprocessor(unloaded, PROFILE)
     mapper = GreyMapper(preprocessor)
     presses = [
-        KnownPress(f"press {k}", simulated(model).frame((p,), 100 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}",
+            simulated(model).frame((p,), 100 + k).image,
+            radius,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
         for k, (p, radius) in enumerate(ball_presses(model, PRESSES, seed))
     ]
     return tuple(observe_press(preprocessor, mapper, press) for press in presses), unloaded.geometry

@@ -29,14 +29,23 @@ def run(test: Coroutine[Any, Any, None]) -> None:
 
 @asynccontextmanager
 async def running(
-    broker_port: int = 1, origins: frozenset[str] = frozenset(), host: str = "127.0.0.1", **access: Any
+    broker_port: int = 1,
+    origins: frozenset[str] = frozenset(),
+    host: str = "127.0.0.1",
+    **access: Any,
 ) -> AsyncIterator[int]:
     """The server in this process; its port."""
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     stop = asyncio.Event()
     serving = asyncio.create_task(
         server.run(
-            Address(host, broker_port), "127.0.0.1", 0, origins, lambda _host, p: port.set_result(p), stop, **access
+            Address(host, broker_port),
+            "127.0.0.1",
+            0,
+            origins,
+            lambda _host, p: port.set_result(p),
+            stop,
+            **access,
         )
     )
     yield await port
@@ -53,7 +62,13 @@ async def tcp(serve: Serve) -> AsyncIterator[int]:
 
 
 def websocket(port: int, **words: Any) -> connect:
-    return connect(f"ws://127.0.0.1:{port}/mqtt", subprotocols=["mqtt"], compression=None, max_size=None, **words)
+    return connect(
+        f"ws://127.0.0.1:{port}/mqtt",
+        subprotocols=["mqtt"],
+        compression=None,
+        max_size=None,
+        **words,
+    )
 
 
 async def get(port: int, path: str, *headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -64,7 +79,11 @@ async def get(port: int, path: str, *headers: str) -> tuple[int, dict[str, str],
     head, _, body = (await reader.read()).partition(b"\r\n\r\n")
     writer.close()
     status, *fields = head.decode().split("\r\n")
-    return int(status.split()[1]), {k.lower(): v for k, v in (f.split(": ", 1) for f in fields)}, body
+    return (
+        int(status.split()[1]),
+        {k.lower(): v for k, v in (f.split(": ", 1) for f in fields)},
+        body,
+    )
 
 
 async def answer(port: int, request: bytes) -> bytes:

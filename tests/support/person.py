@@ -22,7 +22,12 @@ class Person:
         self._leader, follower = pty.openpty()
         command = [python, "-m", "tacshade_edge", "capture", *words]
         self.process = subprocess.Popen(
-            command, stdin=follower, stdout=follower, stderr=follower, start_new_session=True, cwd=folder
+            command,
+            stdin=follower,
+            stdout=follower,
+            stderr=follower,
+            start_new_session=True,
+            cwd=folder,
         )
         os.close(follower)
         self.heard = self.before = ""
@@ -31,7 +36,9 @@ class Person:
         """Wait for one of the texts in the output since the last wait; return the one that came."""
         end_s = time.monotonic() + patience(60)
         while not (found := [text for text in texts if text in self.heard]):
-            assert time.monotonic() < end_s, f"did not say {' or '.join(texts)!r} but {self.heard!r}"
+            assert time.monotonic() < end_s, (
+                f"did not say {' or '.join(texts)!r} but {self.heard!r}"
+            )
             if select.select([self._leader], [], [], 0.1)[0]:
                 said = self._read()
                 assert said, f"ended, and did not say {' or '.join(texts)!r} but {self.heard!r}"
@@ -61,7 +68,9 @@ class Person:
 
 
 @contextlib.contextmanager
-def person(*words: str, python: str = sys.executable, folder: Path | None = None) -> Iterator[Person]:
+def person(
+    *words: str, python: str = sys.executable, folder: Path | None = None
+) -> Iterator[Person]:
     started = Person(list(words), python, folder)
     try:
         yield started

@@ -14,7 +14,16 @@ from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.publishing import Health
 from tacshade_edge.protocol import codec, messages, wire
 from tacshade_edge.reasons import Reason
-from tacshade_edge.types import Calibration, Disc, Geometry, HeightMap, ObjectCloud, Reconstruction, Slip, TouchedObject
+from tacshade_edge.types import (
+    Calibration,
+    Disc,
+    Geometry,
+    HeightMap,
+    ObjectCloud,
+    Reconstruction,
+    Slip,
+    TouchedObject,
+)
 
 ROWS, COLS = 480, 640
 DISC = Disc(236.0, 328.0, 205.0)
@@ -31,7 +40,9 @@ def calibration() -> Calibration:
     )
 
 
-def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, width_px: float = 60.0) -> Reconstruction:
+def bump(
+    seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, width_px: float = 60.0
+) -> Reconstruction:
     """A result: a bell of `depth_mm` at an image pixel, exactly 0 without depth."""
     rows, cols = np.mgrid[0:ROWS:step_px, 0:COLS:step_px]
     away2 = (rows - row) ** 2 + (cols - col) ** 2
@@ -42,7 +53,9 @@ def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, wi
     points[:, :2] = (touched[:, ::-1] * 4 * step_px - (DISC.col_c, DISC.row_c)) * 0.08
     points[:, 2] = np.sqrt(np.maximum((20 - depth_mm) ** 2 - (points[:, :2] ** 2).sum(axis=1), 0))
     cloud = ObjectCloud(points, np.ones(len(points), np.uint16))
-    objects = (TouchedObject(1, (0.5, -1.5, 17.0), (4.0, 4.0, 1.0), depth_mm, 50.0),) if depth_mm else ()
+    objects = (
+        (TouchedObject(1, (0.5, -1.5, 17.0), (4.0, 4.0, 1.0), depth_mm, 50.0),) if depth_mm else ()
+    )
     grid = HeightMap(height, height > 0.3 * depth_mm, 0.0, 0.0, float(step_px))
     contact = depth_mm > 0
     return Reconstruction(
@@ -64,18 +77,25 @@ def bump(seq: int, depth_mm: float, row: float, col: float, step_px: int = 1, wi
     )
 
 
-def dragged(result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.STICK) -> Reconstruction:
+def dragged(
+    result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.STICK
+) -> Reconstruction:
     """The same contact, whose skin went along with it: as far as it is deep, by this at the deepest."""
     height = result.height.height_mm
     part = height / np.nanmax(height) if result.contact else height
     shear = np.stack((x_mm * part, y_mm * part), axis=-1).astype(np.float32)
-    objects = tuple(replace(o, shear_mm=(x_mm, y_mm), twist_deg=0.0, slip=slip, slip_mm_s=9.0) for o in result.objects)
+    objects = tuple(
+        replace(o, shear_mm=(x_mm, y_mm), twist_deg=0.0, slip=slip, slip_mm_s=9.0)
+        for o in result.objects
+    )
     return replace(result, shear_mm=shear, objects=objects)
 
 
 def uncertain(result: Reconstruction, sigma_mm: float) -> Reconstruction:
     """The same result with one standard deviation for the whole contact."""
-    sigma = np.where(result.height.contact, np.float32(sigma_mm), np.float32(np.nan)).astype(np.float32)
+    sigma = np.where(result.height.contact, np.float32(sigma_mm), np.float32(np.nan)).astype(
+        np.float32
+    )
     return replace(result, sigma_mm=sigma)
 
 
@@ -83,7 +103,11 @@ class PublishedSensor:
     """Publishes its retained topics when it is entered, and its results on request."""
 
     def __init__(
-        self, port: int, sensor_id: str = "drawn", username: str | None = None, password: str | None = None
+        self,
+        port: int,
+        sensor_id: str = "drawn",
+        username: str | None = None,
+        password: str | None = None,
     ) -> None:
         self.base = f"tacshade/{sensor_id}"
         self._port = port
@@ -96,11 +120,18 @@ class PublishedSensor:
         self.client.loop_start()
         self.publish_info("fast", profiles=("fast", "paper"))
         self.publish("state", b"online", retain=True)
-        self.publish("status/camera", messages.encode_status("streaming", None, {"device": "drawn"}), retain=True)
+        self.publish(
+            "status/camera",
+            messages.encode_status("streaming", None, {"device": "drawn"}),
+            retain=True,
+        )
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.client.disconnect()
         self.client.loop_stop()
@@ -154,4 +185,6 @@ def health() -> bytes:
     timings.add({"latency": 20.0, "solve": 5.0})
     reported = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
-    return codec.encode_json({**reported, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"})
+    return codec.encode_json(
+        {**reported, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"}
+    )

@@ -15,7 +15,9 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 HEADER = "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"
 
 
-def write_recording(folder: Path, images: Sequence[U8], period_ns: int = 10_000_000, start_ns: int = 500) -> Path:
+def write_recording(
+    folder: Path, images: Sequence[U8], period_ns: int = 10_000_000, start_ns: int = 500
+) -> Path:
     """PNG frames and their table; every other row has a pose."""
     folder.mkdir(parents=True)
     lines = []
@@ -60,6 +62,9 @@ def record_finger(folder: Path, settings: str) -> Path:
 def record_hand(folder: Path) -> tuple[Path, ...]:
     """Record each finger; return the recordings' paths, which are named by its id."""
     return tuple(
-        record_finger(folder / name, f"{{sensor_id: {name}, hand_id: left, hand_T_sensor: [{x}, 0, 0, 1, 0, 0, 0]}}\n")
+        record_finger(
+            folder / name,
+            f"{{sensor_id: {name}, hand_id: left, hand_T_sensor: [{x}, 0, 0, 1, 0, 0, 0]}}\n",
+        )
         for name, x in PLACES_X_MM.items()
     )

@@ -74,10 +74,19 @@ def main() -> int:
         print("                             1920x1080 [47.57 fps - (680, 692)/1920x1080 crop]")
         print("                             3280x2464 [21.19 fps - (0, 0)/3280x2464 crop]")
         return 0
-    assert (args.codec, args.output, args.metadata_format, args.flush) == ("yuv420", "-", "txt", True)
+    assert (args.codec, args.output, args.metadata_format, args.flush) == (
+        "yuv420",
+        "-",
+        "txt",
+        True,
+    )
     assert args.autofocus_mode == "manual"  # otherwise a lens that moves focuses all the time
     shape = (args.height, args.width)
-    images = np.load(do["frames"]) if "frames" in do else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
+    images = (
+        np.load(do["frames"])
+        if "frames" in do
+        else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
+    )
     colour = bytes([128]) * max(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0)
     cut = min(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0) or None
     period_ns, behind, waiting = round(1e9 / args.framerate), do.get("behind", 0), b""
@@ -90,7 +99,9 @@ def main() -> int:
                 continue
             if n == do.get("stalls"):
                 time.sleep(60)
-            sys.stdout.buffer.write(images[n % len(images)].astype(np.uint8).tobytes()[:cut] + colour)
+            sys.stdout.buffer.write(
+                images[n % len(images)].astype(np.uint8).tobytes()[:cut] + colour
+            )
             if n + 1 >= behind:
                 sys.stdout.buffer.flush()
             exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
@@ -102,7 +113,9 @@ def main() -> int:
                 "ColourGains": "[ 1.000000, 1.000000 ]",
             }
             if do.get("lens"):
-                values["LensPosition"] = 1.0 if args.lens_position == "default" else float(args.lens_position)
+                values["LensPosition"] = (
+                    1.0 if args.lens_position == "default" else float(args.lens_position)
+                )
             text = "".join(f"{key}={value}\n" for key, value in values.items()).encode() + b"\n"
             if n + 1 < behind:
                 waiting += text

@@ -21,7 +21,10 @@ from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
 
 BASE = "tacshade/hand-1"
-NEEDS_BROKER = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+NEEDS_BROKER = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 NO_REASON = {"reason": "", "reason_code": ""}
 GONE = DeviceError("camera /dev/video9: gone")
 STOP_S = 2.0
@@ -93,14 +96,19 @@ class Running:
 class Live:
     """A broker, daemons on it whose cameras the test scripts, and what a subscriber hears of them."""
 
-    def __init__(self, folder: Path, broker: Broker, seen: Subscriber, calibration: Calibration) -> None:
+    def __init__(
+        self, folder: Path, broker: Broker, seen: Subscriber, calibration: Calibration
+    ) -> None:
         self.folder, self.broker, self.seen, self.calibration = folder, broker, seen, calibration
 
     def document(self, more: str = "") -> Document:
         return document(self.folder, self.broker.port, more)
 
     def run(
-        self, source: Any, settings: Document | str = "", calibration: Calibration | Reason | None = None
+        self,
+        source: Any,
+        settings: Document | str = "",
+        calibration: Calibration | Reason | None = None,
     ) -> Running:
         known = settings if isinstance(settings, Document) else self.document(settings)
         return Running(known, source, self.calibration if calibration is None else calibration)
@@ -132,7 +140,9 @@ class Live:
         """The reply to one request."""
         topic = f"{BASE}/res/{verb}"
         before = len(self.seen.of(topic))
-        self.seen.publish(f"{BASE}/req/{verb}", json.dumps({"transaction": f"t{before}", **body}).encode())
+        self.seen.publish(
+            f"{BASE}/req/{verb}", json.dumps({"transaction": f"t{before}", **body}).encode()
+        )
         answer = json.loads(self.seen.wait_for(topic, before + 1, 15)[-1])
         assert answer.pop("transaction") == f"t{before}"
         return answer

@@ -26,6 +26,15 @@ def write_files(folder: Path) -> list[str]:
     rows = ["image,indenter,radius_mm,depth_mm,x_mm,y_mm"]
     for k, press in enumerate(presses()):
         cv2.imwrite(str(folder / f"press{k}.png"), press.image)
-        rows.append(f"press{k}.png,ball,{press.radius_mm},{press.depth_mm},{press.x_mm},{press.y_mm}")
+        rows.append(
+            f"press{k}.png,ball,{press.radius_mm},{press.depth_mm},{press.x_mm},{press.y_mm}"
+        )
     (folder / "PRESSES.csv").write_text("\n".join(rows) + "\n")
-    return ["--sensor", str(folder / "SENSOR.yaml"), "--presses", str(folder / "PRESSES.csv"), "--reference", *names]
+    return [
+        "--sensor",
+        str(folder / "SENSOR.yaml"),
+        "--presses",
+        str(folder / "PRESSES.csv"),
+        "--reference",
+        *names,
+    ]

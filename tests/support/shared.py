@@ -20,7 +20,9 @@ def once_for_all_workers(name: str, make: Callable[[], Made]) -> Made:
         return make()
     path = folder / f"{hashlib.sha256(name.encode()).hexdigest()}.pickle"
     with path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed, also by a worker that dies
+        fcntl.flock(
+            lock, fcntl.LOCK_EX
+        )  # released when the file is closed, also by a worker that dies
         if not path.exists():
             buffers: list[pickle.PickleBuffer] = []
             data = pickle.dumps(make(), protocol=5, buffer_callback=buffers.append)

@@ -22,7 +22,9 @@ from tools.testbed.mqtt_rig import MOSQUITTO
 from tools.testbed.patience import patience, wait_until
 
 _MISSING = [
-    name for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO)) if not found
+    name
+    for name, found in (("Chromium", CHROMIUM), ("its driver", DRIVER), ("mosquitto", MOSQUITTO))
+    if not found
 ]
 NEEDS_A_BROWSER = [
     pytest.mark.browser,
@@ -69,7 +71,11 @@ def shows(page: Chrome, element: str, part: str, timeout_s: float = 15) -> None:
 def drawn(page: Chrome, timeout_s: float = 20) -> None:
     """Wait until one more map is on the screen."""
     before = js(page, "window.tacshade ? tacshade.drawn : 0")
-    wait_until(lambda: js(page, "window.tacshade ? tacshade.drawn : 0") > before, timeout_s, "a map is drawn")
+    wait_until(
+        lambda: js(page, "window.tacshade ? tacshade.drawn : 0") > before,
+        timeout_s,
+        "a map is drawn",
+    )
 
 
 def opened(page: Chrome, address: str, sensor_id: str = "") -> None:
@@ -92,12 +98,18 @@ def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any]
 
 
 def mapping(sensor: PublishedSensor, name: str, **corner_mm: float) -> GrowingMap:
-    return GrowingMap(lambda topic, payload: sensor.publish(topic, payload, retain=True), name, **corner_mm)
+    return GrowingMap(
+        lambda topic, payload: sensor.publish(topic, payload, retain=True), name, **corner_mm
+    )
 
 
 def until_mapped(page: Chrome, name: str, revision: int) -> None:
     reported = "tacshade.stitched && [tacshade.stitched.name, tacshade.stitched.revision]"
-    wait_until(lambda: js(page, reported) == [name, revision], 15, f"revision {revision} of {name} on the screen")
+    wait_until(
+        lambda: js(page, reported) == [name, revision],
+        15,
+        f"revision {revision} of {name} on the screen",
+    )
 
 
 def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:
@@ -107,7 +119,9 @@ def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top
     if size_px is not None:
         page.set_window_size(*size_px)
         drawn_at = js(page, "performance.now()")
-        wait_until(lambda: js(page, "performance.now()") > drawn_at + 1000, 10, "the new size is drawn")
+        wait_until(
+            lambda: js(page, "performance.now()") > drawn_at + 1000, 10, "the new size is drawn"
+        )
     if top:
         page.execute_script("document.getElementById(arguments[0]).scrollIntoView()", top)
     Path(PICTURES).mkdir(parents=True, exist_ok=True)

@@ -15,9 +15,28 @@ from tacshade_edge.types import U8, Frame, Reconstruction
 def everything(result: Reconstruction) -> tuple[object, ...]:
     """All that a result says, bit for bit."""
     height, cloud = result.height, result.cloud
-    arrays = (height.height_mm, height.contact, cloud.points_mm, cloud.labels, result.shear_mm, result.untrusted)
-    said = (result.valid, result.reason, result.contact, result.saturated, result.degraded, result.objects)
-    return (*said, result.volume_mm3, result.repaired_px, *(a if a is None else a.tobytes() for a in arrays))
+    arrays = (
+        height.height_mm,
+        height.contact,
+        cloud.points_mm,
+        cloud.labels,
+        result.shear_mm,
+        result.untrusted,
+    )
+    said = (
+        result.valid,
+        result.reason,
+        result.contact,
+        result.saturated,
+        result.degraded,
+        result.objects,
+    )
+    return (
+        *said,
+        result.volume_mm3,
+        result.repaired_px,
+        *(a if a is None else a.tobytes() for a in arrays),
+    )
 
 
 def sound_step(made: Reconstructor, image: U8) -> Reconstruction:
@@ -43,7 +62,11 @@ def assert_sound(result: Reconstruction, made: Reconstructor) -> None:
     points, labels = result.cloud.points_mm, result.cloud.labels
     assert np.isfinite(points).all()
     assert (np.linalg.norm(points.astype(np.float64), axis=1) <= reach_mm).all()
-    assert set(labels.tolist()) == {o.label for o in result.objects} == set(range(1, len(result.objects) + 1))
+    assert (
+        set(labels.tolist())
+        == {o.label for o in result.objects}
+        == set(range(1, len(result.objects) + 1))
+    )
     assert int(touched.sum()) == len(points) == len(labels)
     assert not (touched & ~inside).any()
     assert result.contact == bool(result.objects)
@@ -57,7 +80,9 @@ def assert_sound(result: Reconstruction, made: Reconstructor) -> None:
         assert 0 <= touch.depth_max_mm <= reach_mm
         assert touch.area_mm2 > 0
     if result.shear_mm is not None:
-        np.testing.assert_array_equal(np.isnan(result.shear_mm), np.repeat(~inside[..., None], 2, axis=2))
+        np.testing.assert_array_equal(
+            np.isnan(result.shear_mm), np.repeat(~inside[..., None], 2, axis=2)
+        )
     if not result.contact:
         assert not height[inside].any()
         assert result.volume_mm3 == 0
@@ -79,7 +104,9 @@ def _assert_wire(result: Reconstruction) -> None:
     nothing = {key for key, value in said.items() if value is None}
     sheared = result.contact and result.shear_mm is not None
     expected = {"slip", "slip_mm_s"} | (set() if result.contact else {"x_mm", "y_mm"})
-    assert nothing - {"twist_deg"} == expected | (set() if sheared else {"shear_x_mm", "shear_y_mm"})
+    assert nothing - {"twist_deg"} == expected | (
+        set() if sheared else {"shear_x_mm", "shear_y_mm"}
+    )
     if result.shear_mm is not None:
         shear = wire.decode(wire.encode_shear(result, calibration_crc32=1))
         assert isinstance(shear, wire.ShearMessage)

@@ -21,4 +21,16 @@ def row(
     size = (320, 240) if half else (640, 480)
     errors = dict.fromkeys(outputs, Estimate(error, 0.9 * error, 1.1 * error))
     times = Times(p50_ms=ms, p99_ms=2 * ms, mean_ms=ms, idle_ms=0.3)
-    return Row(tuple(outputs), Setting(profile, half, fitted), *size, errors, 30, 1, 20, 2, times, 12.34, front)
+    return Row(
+        tuple(outputs),
+        Setting(profile, half, fitted),
+        *size,
+        errors,
+        30,
+        1,
+        20,
+        2,
+        times,
+        12.34,
+        front,
+    )

@@ -19,7 +19,9 @@ def kept_fps() -> int:
     """The greatest of the driver's rates that this machine keeps up with; says which."""
     slow = slowness()
     fps = next((fps for limit, fps in KEPT if slow < limit), 2)
-    print(f"camera at {fps} frames a second, {slow:.0f} times slower than where nothing is emulated")
+    print(
+        f"camera at {fps} frames a second, {slow:.0f} times slower than where nothing is emulated"
+    )
     return fps
 
 
@@ -46,7 +48,10 @@ def unload_driver() -> None:
     _untouched = ()
 
     def unloaded() -> bool:
-        return subprocess.run(["modprobe", "-r", "vivid"], capture_output=True, check=False).returncode == 0
+        return (
+            subprocess.run(["modprobe", "-r", "vivid"], capture_output=True, check=False).returncode
+            == 0
+        )
 
     wait_until(unloaded, 10, "the driver is unloaded")
 

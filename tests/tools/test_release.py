@@ -36,7 +36,9 @@ needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not i
 def git(folder: Path, *words: str) -> str:
     whose = {"GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_SYSTEM": os.devnull}
     command = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-C", str(folder), *words]
-    done = subprocess.run(command, env=os.environ | whose, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, env=os.environ | whose, capture_output=True, text=True, check=True
+    )
     return done.stdout.strip()
 
 
@@ -58,7 +60,9 @@ def test_what_follows_a_tag_lies_between_it_and_the_next() -> None:
     assert Version("1.2.3") == Version(version_of("v1.2.3")) == at < later < Version("1.2.4")
 
 
-@pytest.mark.parametrize("text", ["", "v1.2", "1.2.3", "v1.2.3-rc1", "v1.2.3-4", "$Format:%(describe)$"])
+@pytest.mark.parametrize(
+    "text", ["", "v1.2", "1.2.3", "v1.2.3-rc1", "v1.2.3-4", "$Format:%(describe)$"]
+)
 def test_what_is_no_release_is_unknown(text: str) -> None:
     assert version_of(text) == UNKNOWN
     assert Version(UNKNOWN) < Version("0.0.1")
@@ -86,7 +90,9 @@ def test_the_version_of_a_tree_of_its_archives_and_of_what_is_neither(
     assert Version(version(tmp_path / "later")).public == "1.2.4.dev1"
     (copy := tree / "copy").mkdir()
     assert version(copy) == UNKNOWN, "a copy within another repository"
-    (copy / "PKG-INFO").write_text("Metadata-Version: 2.4\nName: tacshade-edge\nVersion: 3.2.1\n\nText\n")
+    (copy / "PKG-INFO").write_text(
+        "Metadata-Version: 2.4\nName: tacshade-edge\nVersion: 3.2.1\n\nText\n"
+    )
     assert version(copy) == "3.2.1"
     monkeypatch.setenv("TACSHADE_EDGE_VERSION", "9.8.7")
     assert version(tmp_path) == "9.8.7"
@@ -98,7 +104,15 @@ def test_the_version_of_a_tree_of_its_archives_and_of_what_is_neither(
 def run(*words: str | Path, cwd: Path) -> str:
     """Run a command outside any checkout's environment; return its output."""
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run(words, cwd=cwd, env=clean, capture_output=True, text=True, timeout=patience(120), check=False)
+    done = subprocess.run(
+        words,
+        cwd=cwd,
+        env=clean,
+        capture_output=True,
+        text=True,
+        timeout=patience(120),
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -106,13 +120,18 @@ def run(*words: str | Path, cwd: Path) -> str:
 @pytest.mark.slow
 @needs_git
 @pytest.mark.skipif(
-    any(find_spec(name) is None for name in ("uv", "hatchling", "pip")), reason="needs uv, hatchling, pip"
+    any(find_spec(name) is None for name in ("uv", "hatchling", "pip")),
+    reason="needs uv, hatchling, pip",
 )
-def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(tmp_path: Path) -> None:
+def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(
+    tmp_path: Path,
+) -> None:
     tree, out = tmp_path / "tree", tmp_path / "out"
     subprocess.run(("git", "clone", "--quiet", str(distributions.TREE), str(tree)), check=True)
     project = tree / "pyproject.toml"
-    project.write_text(re.sub("(?m)^Repository = .*$", f'Repository = "{ADDRESS}"', project.read_text()))
+    project.write_text(
+        re.sub("(?m)^Repository = .*$", f'Repository = "{ADDRESS}"', project.read_text())
+    )
     git(tree, "commit", "--quiet", "--all", "-m", "Release")
     git(tree, "tag", "-am", "release", "v71.2.3")
     files = distributions.build(tree, out)
@@ -131,15 +150,33 @@ def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(tmp
     # In an environment that sees this one's packages: nothing is downloaded, and what this one has installed stays.
     venv.create(tmp_path / "environment", symlinks=True)
     python = tmp_path / "environment/bin/python"
-    packages = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=tmp_path).strip()
+    packages = run(
+        python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=tmp_path
+    ).strip()
     Path(packages, "others.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
-    words = ("install", "--quiet", "--no-index", "--no-deps", "--ignore-installed", "--disable-pip-version-check")
+    words = (
+        "install",
+        "--quiet",
+        "--no-index",
+        "--no-deps",
+        "--ignore-installed",
+        "--disable-pip-version-check",
+    )
     run(python, "-m", "pip", *words, wheel, cwd=tmp_path)
     command = python.with_name("tacshade-edge")
     assert run(command, "--version", cwd=tmp_path) == "tacshade-edge 71.2.3\n"
     calibration_file.save(tmp_path / "cal.npz", calibrated())
     cv2.imwrite(str(tmp_path / "press.png"), pressed("ball", 2.0).image)
-    run(command, "reconstruct", "--calibration", "cal.npz", "--out", "result", "press.png", cwd=tmp_path)
+    run(
+        command,
+        "reconstruct",
+        "--calibration",
+        "cal.npz",
+        "--out",
+        "result",
+        "press.png",
+        cwd=tmp_path,
+    )
     with np.load(tmp_path / "result/press.npz") as result:
         assert np.nanmax(result["height_mm"]) == pytest.approx(2.0, rel=0.2)
 
@@ -147,13 +184,22 @@ def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(tmp
 def entries() -> list[tuple[Requirement, list[str]]]:
     """What is pinned, with its hashes."""
     text = LOCK.read_text().replace("\\\n", " ")
-    lines = [line for line in text.splitlines() if line and not line.startswith(("#", "--only-binary"))]
-    return [(Requirement(line.partition(" --hash")[0]), re.findall(r"--hash=(\S+)", line)) for line in lines]
+    lines = [
+        line for line in text.splitlines() if line and not line.startswith(("#", "--only-binary"))
+    ]
+    return [
+        (Requirement(line.partition(" --hash")[0]), re.findall(r"--hash=(\S+)", line))
+        for line in lines
+    ]
 
 
 def pinned(python: str) -> dict[str, str]:
     """Versions by name, for one Python on a board."""
-    environment = {"python_version": python, "python_full_version": f"{python}.7", "sys_platform": "linux"}
+    environment = {
+        "python_version": python,
+        "python_full_version": f"{python}.7",
+        "sys_platform": "linux",
+    }
     found: dict[str, str] = {}
     for requirement, _ in entries():
         if requirement.marker is None or requirement.marker.evaluate(environment):

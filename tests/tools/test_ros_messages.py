@@ -38,17 +38,27 @@ class Ros:
 
 
 def there_and_back(message: Any) -> Any:
-    return store().deserialize_cdr(store().serialize_cdr(message, message.__msgtype__), message.__msgtype__)
+    return store().deserialize_cdr(
+        store().serialize_cdr(message, message.__msgtype__), message.__msgtype__
+    )
 
 
 def test_an_image() -> None:
     height = decode(wire.encode_height(PRESS, calibration_crc32=CRC))
     assert isinstance(height, HeightMessage)
     image = there_and_back(ros_messages.image(Ros(), height, "left-index"))
-    assert (image.encoding, image.height, image.width, image.step, image.is_bigendian) == ("32FC1", 120, 160, 640, 0)
+    assert (image.encoding, image.height, image.width, image.step, image.is_bigendian) == (
+        "32FC1",
+        120,
+        160,
+        640,
+        0,
+    )
     assert image.header.frame_id == "left-index/sensor"
     assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec == PRESS.wall_ns
-    np.testing.assert_allclose(image.data.view("<f4").reshape(120, 160), height.height_mm / 1000, rtol=1e-6)
+    np.testing.assert_allclose(
+        image.data.view("<f4").reshape(120, 160), height.height_mm / 1000, rtol=1e-6
+    )
 
 
 def test_a_cloud() -> None:
@@ -71,7 +81,9 @@ def test_a_cloud() -> None:
 
 
 def touch(**values: float | None) -> TouchNumbers:
-    return TouchNumbers(seq=7, t_ns=1, touch=values, touch_sigma=dict.fromkeys(values, 0.1), wall_ns=PRESS.wall_ns)
+    return TouchNumbers(
+        seq=7, t_ns=1, touch=values, touch_sigma=dict.fromkeys(values, 0.1), wall_ns=PRESS.wall_ns
+    )
 
 
 def test_a_wrench_is_what_was_labelled_and_is_known() -> None:
@@ -82,18 +94,35 @@ def test_a_wrench_is_what_was_labelled_and_is_known() -> None:
     force, torque = wrench.wrench.force, wrench.wrench.torque
     assert (force.x, force.y, force.z) == (0.0, 0.0, -2.5)
     assert (torque.x, torque.y, torque.z) == pytest.approx((0.04, 0.0, 0.0))
-    for unknown in (touch(depth_mm=1.0), touch(force_z_n=None), touch(force_z_n=1.0, force_x_n=None), touch()):
+    for unknown in (
+        touch(depth_mm=1.0),
+        touch(force_z_n=None),
+        touch(force_z_n=1.0, force_x_n=None),
+        touch(),
+    ):
         assert ros_messages.wrench(Ros(), unknown, "left-index") is None
 
 
 def test_a_surface_lies_below_the_skin_and_is_tilted() -> None:
-    known = touch(depth_mm=2.0, tilt_x_deg=30.0, tilt_y_deg=-20.0, twist_deg=10.0, x_mm=12.0, y_mm=0.0)
+    known = touch(
+        depth_mm=2.0, tilt_x_deg=30.0, tilt_y_deg=-20.0, twist_deg=10.0, x_mm=12.0, y_mm=0.0
+    )
     surface = there_and_back(ros_messages.surface(Ros(), known, 20.0, "left-index"))
     at, turn = surface.pose.position, surface.pose.orientation
     assert (at.x, at.y, at.z) == pytest.approx((0.012, 0.0, 0.014))
     found = from_seven((0.0, 0.0, 0.0, turn.w, turn.x, turn.y, turn.z)).rotation
-    axes = place(Indenter("axes", np.eye(3)[None]), 20.0, 12.0, 0.0, 2.0, 10.0, 30.0, -20.0)  # as PRESSES.csv says
-    np.testing.assert_allclose(np.diff(found.T, axis=0), np.diff(axes.triangles_mm[0], axis=0), atol=1e-12)
-    assert there_and_back(ros_messages.surface(Ros(), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0), 20.0, "a"))
-    for unknown in (touch(depth_mm=2.0), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0, twist_deg=None), touch()):
+    axes = place(
+        Indenter("axes", np.eye(3)[None]), 20.0, 12.0, 0.0, 2.0, 10.0, 30.0, -20.0
+    )  # as PRESSES.csv says
+    np.testing.assert_allclose(
+        np.diff(found.T, axis=0), np.diff(axes.triangles_mm[0], axis=0), atol=1e-12
+    )
+    assert there_and_back(
+        ros_messages.surface(Ros(), touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0), 20.0, "a")
+    )
+    for unknown in (
+        touch(depth_mm=2.0),
+        touch(depth_mm=2.0, tilt_x_deg=0.0, tilt_y_deg=0.0, twist_deg=None),
+        touch(),
+    ):
         assert ros_messages.surface(Ros(), unknown, 20.0, "left-index") is None

@@ -20,7 +20,9 @@ R_MM = MODEL.skin_radius_mm
 
 
 @pytest.mark.parametrize("late_frames", [1, 7])
-def test_a_tilted_plane_is_met_at_right_angles_and_at_the_depth_although_the_robot_obeys_late(late_frames: int) -> None:
+def test_a_tilted_plane_is_met_at_right_angles_and_at_the_depth_although_the_robot_obeys_late(
+    late_frames: int,
+) -> None:
     normal = np.array((0.15, 0.1, -1.0)) / math.sqrt(1 + 0.15**2 + 0.1**2)
     follow, start = FollowSurface(1.5, 10.0), shift(0, 0, R_MM - 1.0) @ turn((math.pi, 0, 0))
     robot = LateRobot(start, late_frames * FRAME_S, 0.0)

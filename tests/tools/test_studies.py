@@ -37,9 +37,22 @@ def test_a_study_judges_the_sensors_that_were_fitted_to_references(
     calibration_file.save(tmp_path / "half_default_none.npz", calibrated())
     calibration_file.save(tmp_path / "half_default.npz", calibrated())  # with presses
     with half_family():
-        drag.main(["--fitted", str(tmp_path), "--objects", "ball", "--profile", "fast", "--out", str(tmp_path / "out")])
+        drag.main(
+            [
+                "--fitted",
+                str(tmp_path),
+                "--objects",
+                "ball",
+                "--profile",
+                "fast",
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
     with (tmp_path / "out" / "drag.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 3
     assert {row["sensor"] for row in rows} == {"half:default"}
-    assert not any(line.startswith("sensors calibrated") for line in capsys.readouterr().err.splitlines())
+    assert not any(
+        line.startswith("sensors calibrated") for line in capsys.readouterr().err.splitlines()
+    )

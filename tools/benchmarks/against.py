@@ -70,7 +70,12 @@ def serve(frames: int) -> None:
             start = time.process_time_ns()
             found = each.step(frame, **asked)
             if kind == "everything":
-                for encode in (wire.encode_height, wire.encode_cloud, wire.encode_shear, wire.encode_sigma):
+                for encode in (
+                    wire.encode_height,
+                    wire.encode_cloud,
+                    wire.encode_shear,
+                    wire.encode_sigma,
+                ):
                     encode(found, calibration_crc32=0)
                 messages.encode_contact(found, fps=60.0)
             if k >= 0:
@@ -108,7 +113,9 @@ class Checkout:
 
 def main() -> None:
     """Time both checkouts and print the comparison."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--frames", type=int, default=60, help="of a round")
@@ -124,7 +131,10 @@ def main() -> None:
     lines = []
     for profile in (name for name in PROFILES if name != "paper"):
         for kind in KINDS:
-            rows = [(now.time_ms(profile, kind), before.time_ms(profile, kind)) for _ in range(args.rounds)]
+            rows = [
+                (now.time_ms(profile, kind), before.time_ms(profile, kind))
+                for _ in range(args.rounds)
+            ]
             mine = np.array([row[0] for row in rows])
             cells = [f"{np.median(mine[:, k]):.2f}" for k in (0, 1)]
             if rows[0][1] is None:
@@ -134,7 +144,11 @@ def main() -> None:
                 cells += [f"{np.median(other[:, k]):.2f}" for k in (0, 1)]
                 cells.append(f"{np.median(mine[:, 0] / other[:, 0]):.2f}")
             lines.append([profile, kind, *cells])
-    print(markdown(["method", "frame", "p50 ms", "p99 ms", "before: p50 ms", "p99 ms", "ratio"], lines))
+    print(
+        markdown(
+            ["method", "frame", "p50 ms", "p99 ms", "before: p50 ms", "p99 ms", "ratio"], lines
+        )
+    )
 
 
 if __name__ == "__main__":

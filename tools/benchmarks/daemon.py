@@ -69,7 +69,11 @@ ROWS = {  # name: program, ring, the subscriber's topics
 }
 RECORDING = {"recording": "folder", "recording, mcap": "mcap"}  # row: format
 PRE_ROLL = "pre-roll"
-RECORD_ROWS = {"contact": ROWS["contact"], PRE_ROLL: ROWS["contact"], **dict.fromkeys(RECORDING, ROWS["contact"])}
+RECORD_ROWS = {
+    "contact": ROWS["contact"],
+    PRE_ROLL: ROWS["contact"],
+    **dict.fromkeys(RECORDING, ROWS["contact"]),
+}
 
 
 def subscriber(port: int, warm_up: int, topics: str) -> None:
@@ -97,7 +101,9 @@ def subscriber(port: int, warm_up: int, topics: str) -> None:
     client.on_message = on_message
     client.on_subscribe = lambda *_: print("ready", flush=True)
     client.connect("127.0.0.1", port)
-    client.subscribe([(f"{BASE}/{topic}", 1) for topic in ("state", "health", *[topics] * bool(topics))])
+    client.subscribe(
+        [(f"{BASE}/{topic}", 1) for topic in ("state", "health", *[topics] * bool(topics))]
+    )
     client.loop_start()
     done.wait()
     client.disconnect()
@@ -106,12 +112,17 @@ def subscriber(port: int, warm_up: int, topics: str) -> None:
     steady = sorted(latencies[warm_up:])
     if steady:
         heard["first_ns"] = arrived_ns[0]
-        heard |= {name: steady[int(len(steady) * part)] for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))}
+        heard |= {
+            name: steady[int(len(steady) * part)]
+            for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))
+        }
         heard["max_ms"] = steady[-1]
     print(json.dumps(heard))
 
 
-def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args: argparse.Namespace) -> dict[str, Any]:
+def measure(
+    name: str, row: tuple[str, str, str], folder: Path, port: int, args: argparse.Namespace
+) -> dict[str, Any]:
     """One run of one daemon."""
     program, ring, topics = row
     listen = subprocess.Popen(
@@ -154,19 +165,30 @@ def measure(name: str, row: tuple[str, str, str], folder: Path, port: int, args:
         listen.kill()
     frames = heard["health"]["frames"]
     accounted = code == 0 and frames["pending"] == 0
-    accounted = accounted and frames["captured"] == sum(n for outcome, n in frames.items() if outcome != "captured")
+    accounted = accounted and frames["captured"] == sum(
+        n for outcome, n in frames.items() if outcome != "captured"
+    )
     if topics:
         accounted = accounted and heard["received"] == heard["distinct"] == frames["published"]
     if "first_ns" in heard:
         heard["first_map_s"] = heard["first_ns"] / 1e9 - began_s
-    return {"cpu": cpu, "resident_mb": memory["resident"], "peak_mb": memory["peak"], **heard, "accounted": accounted}
+    return {
+        "cpu": cpu,
+        "resident_mb": memory["resident"],
+        "peak_mb": memory["peak"],
+        **heard,
+        "accounted": accounted,
+    }
 
 
 def record(config: Path, seconds: float, format_: str) -> None:
     """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
     document, began_s = load(config), time.monotonic()
     caller = MqttCaller(
-        links.broker_address(document), sensor_id=document.settings.sensor_id, verb="record", watched=("state",)
+        links.broker_address(document),
+        sensor_id=document.settings.sensor_id,
+        verb="record",
+        watched=("state",),
     )
     caller.start()
     if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):
@@ -187,7 +209,10 @@ def encoding(folder: Path) -> str:
     """What the recorder's encoding of a frame costs, next to OpenCV's encoding at zlib level 1."""
     lines = []
     for what, ring in (("grey", "contact"), ("colour", "colour")):
-        for name, options in (("recorder", PNG_OPTIONS), ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1))):
+        for name, options in (
+            ("recorder", PNG_OPTIONS),
+            ("zlib level 1", (cv2.IMWRITE_PNG_COMPRESSION, 1)),
+        ):
             ms, sizes = [], []
             for image in np.load(folder / f"{ring}.npy"):
                 began_s = time.thread_time()
@@ -210,9 +235,15 @@ def prepare(folder: Path, port: int, profile: str) -> None:
     calibration = calibration_file.load(folder / "c.npz")
     reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32
     for ring in ("contact", "free"):
-        made = [reconstructor.step(Frame(i, 0, 0, image)) for i, image in enumerate(np.load(folder / f"{ring}.npy"))]
+        made = [
+            reconstructor.step(Frame(i, 0, 0, image))
+            for i, image in enumerate(np.load(folder / f"{ring}.npy"))
+        ]
         ready = [
-            (wire.encode_height(r, calibration_crc32=crc32), wire.encode_cloud(r, calibration_crc32=crc32))
+            (
+                wire.encode_height(r, calibration_crc32=crc32),
+                wire.encode_cloud(r, calibration_crc32=crc32),
+            )
             if r.contact
             else None
             for r in made
@@ -269,9 +300,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each run, start included")
-    parser.add_argument("--runs", type=int, default=1, help="of each row; its best figures are printed")
+    parser.add_argument(
+        "--runs", type=int, default=1, help="of each row; its best figures are printed"
+    )
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
-    parser.add_argument("--record", action="store_true", help="the daemon without and with a recording")
+    parser.add_argument(
+        "--record", action="store_true", help="the daemon without and with a recording"
+    )
     for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
         parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -300,7 +335,10 @@ def main() -> int:
         print(beside_null(results))
     for row in [row for row in results if row == "free" or row == "contact"]:
         stages = results[row]["health"]["stages_ms"]
-        print(f"{row}, p50 / p99 ms: " + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items()))
+        print(
+            f"{row}, p50 / p99 ms: "
+            + ", ".join(f"{stage} {s['p50']} / {s['p99']}" for stage, s in stages.items())
+        )
     if args.record:
         print("\n".join((*hours, encoded)))
     return 0 if all(r["accounted"] for r in results.values()) else 1

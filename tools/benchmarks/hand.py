@@ -65,7 +65,11 @@ def subscriber(port: int, names: list[str], topics: list[str]) -> None:
             hand = decode_hand(bytes(message.payload))
             messages.append((time.monotonic_ns(), hand))
         elif topic == topics[0]:
-            frame = decode_contact(bytes(message.payload)) if topic == "contact" else wire.decode(message.payload)
+            frame = (
+                decode_contact(bytes(message.payload))
+                if topic == "contact"
+                else wire.decode(message.payload)
+            )
             own_ns[name, frame.seq] = now_ns = time.monotonic_ns()
             latencies[name].append((now_ns - frame.t_ns) / 1e6)
         elif topic == "health":
@@ -102,7 +106,11 @@ def ages(
     """
     ages_ms, later_ms, latest_ns = list[float](), list[float](), 0
     for at_ns, hand in messages:
-        touching = [(f.t_ns, name, f.seq) for name, f in hand.fingers.items() if f.state == "contact" and f.t_ns]
+        touching = [
+            (f.t_ns, name, f.seq)
+            for name, f in hand.fingers.items()
+            if f.state == "contact" and f.t_ns
+        ]
         t_ns, name, seq = max(touching, default=(0, "", None))
         if t_ns > latest_ns:
             latest_ns = t_ns
@@ -119,10 +127,24 @@ def family(pid: int) -> list[int]:
 
 
 def measure(
-    row: str, folder: Path, port: int, names: list[str], args: argparse.Namespace, pressed: int, topics: Sequence[str]
+    row: str,
+    folder: Path,
+    port: int,
+    names: list[str],
+    args: argparse.Namespace,
+    pressed: int,
+    topics: Sequence[str],
 ) -> dict[str, Any]:
     """Run one row's daemons for the given seconds and return the figures; the latencies are the first topic's."""
-    words = [sys.executable, "-m", "tools.benchmarks.hand", "--role", ",".join(names), "--port", str(port)]
+    words = [
+        sys.executable,
+        "-m",
+        "tools.benchmarks.hand",
+        "--role",
+        ",".join(names),
+        "--port",
+        str(port),
+    ]
     words += ["--topics", ",".join(topics)]
     listen = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert listen.stdout is not None
@@ -130,11 +152,20 @@ def measure(
     kinds = ["contact" if k < pressed else "free" for k in range(len(names))]
     rings = [str(folder / f"{kind}.npy") for kind in kinds]
     if row not in ("apart", "null"):
-        commands = [[sys.executable, "-m", RING_DAEMON, str(folder / f"{row}.yaml"), str(args.fps), *rings]]
+        commands = [
+            [sys.executable, "-m", RING_DAEMON, str(folder / f"{row}.yaml"), str(args.fps), *rings]
+        ]
     else:
         program, ending = (RING_DAEMON, "npy") if row == "apart" else (NULL_DAEMON, "pickle")
         commands = [
-            [sys.executable, "-m", program, str(folder / f"{name}.yaml"), str(args.fps), f"{folder}/{kind}.{ending}"]
+            [
+                sys.executable,
+                "-m",
+                program,
+                str(folder / f"{name}.yaml"),
+                str(args.fps),
+                f"{folder}/{kind}.{ending}",
+            ]
             for name, kind in zip(names, kinds, strict=True)
         ]
     began_s, pause = time.monotonic(), threading.Event()
@@ -145,7 +176,9 @@ def measure(
         used_s, since_s = sum(map(cpu_s, pids)), time.monotonic()
         pause.wait(began_s + args.seconds - since_s)
         cpu = (sum(map(cpu_s, pids)) - used_s) / (time.monotonic() - since_s)
-        memory = sum(pss_mb(pid) for worker in workers for pid in family(worker.pid))  # some may have been forked since
+        memory = sum(
+            pss_mb(pid) for worker in workers for pid in family(worker.pid)
+        )  # some may have been forked since
         for worker in workers:
             worker.send_signal(signal.SIGTERM)
         codes = [worker.wait(30) for worker in workers]
@@ -163,10 +196,14 @@ def measure(
             n for outcome, n in counts.items() if outcome not in ("captured", "lost")
         )
         accounted &= topics[0] != "height" or len(heard["latencies"][name]) == counts["published"]
-    steady = sorted(ms for each in heard["latencies"].values() for ms in each[round(2 * args.fps) :])
+    steady = sorted(
+        ms for each in heard["latencies"].values() for ms in each[round(2 * args.fps) :]
+    )
     of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
     captured = sum(counts["captured"] for counts in frames.values())
-    lost = sum(counts[why] for counts in frames.values() for why in ("superseded", "failed", "lost"))
+    lost = sum(
+        counts[why] for counts in frames.values() for why in ("superseded", "failed", "lost")
+    )
     found = {
         "lost": lost,
         "rate": heard["rate"],
@@ -203,7 +240,10 @@ def main() -> int:
         folder = Path(made)
         with Broker(folder, more=KEPT) as broker:
             prepare(folder, broker.port, args.profile)
-            text, calibration = (folder / "config.yaml").read_text(), (folder / "c.npz").read_bytes()
+            text, calibration = (
+                (folder / "config.yaml").read_text(),
+                (folder / "c.npz").read_bytes(),
+            )
             sensors, fingers = [], []
             for k, name in enumerate(names):
                 (folder / f"{name}.npz").write_bytes(calibration)
@@ -215,12 +255,18 @@ def main() -> int:
                 (folder / f"{name}.yaml").write_text(f"{own}stitching: {{folder: {name}-maps}}\n")
                 own = f"calibration: {name}.npz, source: {{kind: simulated}}"
                 sensors.append(f"  {name}: {{{own}}}\n")
-                fingers.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}\n")
+                fingers.append(
+                    f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}\n"
+                )
             common = f"profile: {args.profile}\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
             common += "recorder: {folder: recs}\nstitching: {folder: maps}\n"
             (folder / "hand.yaml").write_text(f"{common}sensors:\n{''.join(sensors)}")
-            (folder / "objects.yaml").write_text(f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}")
-            results = {row: measure(row, folder, broker.port, names, args, PRESSED, TOPICS) for row in ROWS}
+            (folder / "objects.yaml").write_text(
+                f"{common}hand_id: {HAND_ID}\nsensors:\n{''.join(fingers)}"
+            )
+            results = {
+                row: measure(row, folder, broker.port, names, args, PRESSED, TOPICS) for row in ROWS
+            }
     head = ["", "memory MB", "CPU cores", "p50 ms", "p99 ms", "max ms", "captured", "accounted"]
     rows = [
         [

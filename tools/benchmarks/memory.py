@@ -143,13 +143,18 @@ def main() -> int:
             config = folder / "config.yaml"
             config.write_text(
                 f"sensor_id: bench\nprofile: {args.profile}\ncalibration: c.npz\nsource: {source}\n"
-                f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n" + "latency_budget_ms: 50\n" * (args.profile == AUTO)
+                f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+                + "latency_budget_ms: 50\n"
+                * (args.profile == AUTO)
             )
             result = measure(folder, config, broker.port, args.frames)
     print(f"{'frames':>8}" + "".join(f"{name + ' MB':>13}" for name in FIELDS))
     for count, memory in result["after"].items():
         print(f"{count:>8}" + "".join(f"{memory[name]:>13.1f}" for name in FIELDS))
-    print("largest owners, MB: " + ", ".join(f"{owner} {mb}" for owner, mb in result["owners_mb"].items()))
+    print(
+        "largest owners, MB: "
+        + ", ".join(f"{owner} {mb}" for owner, mb in result["owners_mb"].items())
+    )
     print(f"frames: {result['frames']}")
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n")

@@ -29,7 +29,12 @@ def stamped(message: bytes, seq: int, t_ns: int) -> bytes:
     changed = bytearray(message)
     struct.pack_into("<I", changed, 8, seq)
     struct.pack_into("<QQ", changed, 16, t_ns, time.time_ns())
-    struct.pack_into("<I", changed, 88, zlib.crc32(memoryview(changed)[96:], zlib.crc32(memoryview(changed)[:88])))
+    struct.pack_into(
+        "<I",
+        changed,
+        88,
+        zlib.crc32(memoryview(changed)[96:], zlib.crc32(memoryview(changed)[:88])),
+    )
     return bytes(changed)
 
 
@@ -67,7 +72,9 @@ def main() -> None:
         if pair is not None or t_ns - contact_ns >= CONTACT_PERIOD_NS:
             contact_ns = t_ns
             link.offer(
-                "contact", json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode(), seq
+                "contact",
+                json.dumps({"t_ns": t_ns, "seq": seq, "contact": int(pair is not None)}).encode(),
+                seq,
             )
     ledger.close(1.0)
     link.set_retained("health", json.dumps({"frames": ledger.counts().as_dict()}).encode(), qos=0)

@@ -44,7 +44,9 @@ def stages_ms(made: Reconstructor, image: U8) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="What a frame costs, beside a threshold and a box filter.")
+    parser = argparse.ArgumentParser(
+        description="What a frame costs, beside a threshold and a box filter."
+    )
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--frames", type=int, default=200, help="in each round")
     learned = [name for name in PROFILES if name != "paper"]
@@ -66,7 +68,9 @@ def main() -> None:
     def floor(image: U8 = drawn["contact"][0]) -> dict[str, float]:
         parts = Parts()
         cv2.threshold(image, 100, 1, cv2.THRESH_BINARY)
-        cv2.boxFilter(image, cv2.CV_16U, (BOX_PX, BOX_PX), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        cv2.boxFilter(
+            image, cv2.CV_16U, (BOX_PX, BOX_PX), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
         parts("floor")
         return parts.ms
 
@@ -88,7 +92,9 @@ def main() -> None:
     lines = []
     for (profile, what), found in rounds.items():
         p50, p99 = (float(np.median(values)) for values in zip(*found, strict=True))
-        found_ms = [[part[stage] for part in parts[profile, what] if stage in part] for stage in STAGES]
+        found_ms = [
+            [part[stage] for part in parts[profile, what] if stage in part] for stage in STAGES
+        ]
         shown = [f"{np.median(ms):.3f}" if ms else "" for ms in found_ms]
         lines.append([profile, what, f"{p50:.3f}", f"{p99:.3f}", f"{p50 / least:.1f}", *shown])
     print(f"A contact that covers {100 * covered:.0f} % of the disc; ms, and times the floor\n")

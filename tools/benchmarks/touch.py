@@ -93,7 +93,11 @@ def main() -> None:
         more = np.array(taken[Need.TOUCH]) - np.array(taken[Need.SHEAR])
         figures = np.median(taken[Need.SHEAR]), *np.quantile(more, (0.5, 0.25, 0.75))
         lines.append((profile, *(f"{each:.3f}" for each in figures)))
-    print(markdown(("profile", "depth and shear, ms", "touch, ms more", "lower quartile", "upper"), lines))
+    print(
+        markdown(
+            ("profile", "depth and shear, ms", "touch, ms more", "lower quartile", "upper"), lines
+        )
+    )
 
 
 def with_model(calibration: Calibration, profile: str, frame: Frame) -> Reconstructor:

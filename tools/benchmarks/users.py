@@ -39,7 +39,13 @@ USERS = {  # name: fingers, frames per second, outputs, topics
 def recommended(user: str) -> str:
     """The block that `tradeoff` prints for a user."""
     fingers, fps, outputs, _ = USERS[user]
-    words = ["--fingers", str(fingers), "--fps", str(fps), *(["--outputs", outputs] if outputs else [])]
+    words = [
+        "--fingers",
+        str(fingers),
+        "--fps",
+        str(fps),
+        *(["--outputs", outputs] if outputs else []),
+    ]
     command = [sys.executable, "-m", "tacshade_edge", "tradeoff", *words]
     printed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
     return printed[printed.rindex("\n\n") :].strip()
@@ -48,20 +54,30 @@ def recommended(user: str) -> str:
 def run(user: str, block: str, folder: Path, port: int, args: argparse.Namespace) -> list[str]:
     """Run the daemon with a user's settings; return the row of the table."""
     fingers, args.fps, outputs, topics = USERS[user]
-    said = re.search(r"^# (\w+ at \S+): .*; p99 (\S+) ms, at most (\d+) frames/s$", block, re.MULTILINE)
+    said = re.search(
+        r"^# (\w+ at \S+): .*; p99 (\S+) ms, at most (\d+) frames/s$", block, re.MULTILINE
+    )
     assert said
     prepare(folder, port, profile := yaml.safe_load(block)["profile"])
     if half := "height_px" in block:
-        np.save(folder / "contact.npy", np.stack(list(map(halved_image, np.load(folder / "contact.npy")))))
+        np.save(
+            folder / "contact.npy",
+            np.stack(list(map(halved_image, np.load(folder / "contact.npy")))),
+        )
     calibration = calibration_file.load(folder / "c.npz")
     names = [f"{user}{k}" for k in range(fingers)]
     for name in names:
-        calibration_file.save(folder / f"{name}.npz", halved_calibration(calibration) if half else calibration)
+        calibration_file.save(
+            folder / f"{name}.npz", halved_calibration(calibration) if half else calibration
+        )
     text = f"profile: {profile}\nmqtt: {{host: 127.0.0.1, port: {port}}}\n"
     if fingers == 1:
         text += f"sensor_id: {names[0]}\ncalibration: {names[0]}.npz\nsource: {{kind: simulated}}\n"
     else:
-        own = (f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}\n" for name in names)
+        own = (
+            f"  {name}: {{calibration: {name}.npz, source: {{kind: simulated}}}}\n"
+            for name in names
+        )
         text += "sensors:\n" + "".join(own)
     (folder / f"{user}.yaml").write_text(text)
     found = measure(user, folder, port, names, args, fingers, topics)
@@ -73,7 +89,9 @@ def run(user: str, block: str, folder: Path, port: int, args: argparse.Namespace
 def main() -> None:
     """Ask, run and print, one user after the other."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each daemon, start included")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="of each daemon, start included"
+    )
     args = parser.parse_args()
     blocks = {user: recommended(user) for user in USERS}
     with tempfile.TemporaryDirectory() as name, Broker(Path(name), more=KEPT) as broker:

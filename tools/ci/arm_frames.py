@@ -44,7 +44,9 @@ def write(folder: Path) -> None:
     name = SensorName.parse("default")
     calibration_file.save(folder / "calibration.npz", calibrated(name, 8, 20).calibration)
     sensor = name.make()
-    presses = [(Press(OBJECTS["cube"](), 0.0, 0.0, depth_mm, 20.0, 1.45),) for depth_mm in DEPTHS_MM]
+    presses = [
+        (Press(OBJECTS["cube"](), 0.0, 0.0, depth_mm, 20.0, 1.45),) for depth_mm in DEPTHS_MM
+    ]
     images = [to_grey(sensor.frame(press, seed).image) for seed, press in enumerate([(), *presses])]
     np.save(folder / "images.npy", np.stack(images))
     (folder / "images").mkdir(exist_ok=True)
@@ -54,10 +56,16 @@ def write(folder: Path) -> None:
 
 def reconstruct(folder: Path, out: Path) -> None:
     """Write the binary image, where integer arithmetic ends, and the maps."""
-    calibration, images = calibration_file.load(folder / "calibration.npz"), np.load(folder / "images.npy")
+    calibration, images = (
+        calibration_file.load(folder / "calibration.npz"),
+        np.load(folder / "images.npy"),
+    )
     found: dict[str, Any] = {}
     for name, profile in PROFILES.items():
-        made, preprocessor = make_reconstructor(calibration, profile), Preprocessor(calibration, profile)
+        made, preprocessor = (
+            make_reconstructor(calibration, profile),
+            Preprocessor(calibration, profile),
+        )
         for k, image in enumerate(images):
             total = preprocessor.preprocess(preprocessor.grey(image)).white
             found[f"{name} {k} white"] = np.diff(np.diff(total, axis=0), axis=1).astype(np.uint8)

@@ -41,7 +41,10 @@ WHITE_MAX_PART = 0.002
 COUNT = 5
 # Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop
 # that waits and vector code that does not.
-BOARDS = {"Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6), "Pi 5 (Cortex-A76, 2.4 GHz)": (2.4e9, 1.4, 2.8)}
+BOARDS = {
+    "Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6),
+    "Pi 5 (Cortex-A76, 2.4 GHz)": (2.4e9, 1.4, 2.8),
+}
 
 
 def arm(python: str, *command: str) -> int:
@@ -52,7 +55,15 @@ def arm(python: str, *command: str) -> int:
 def same_frames(python: str) -> list[str]:
     """Print the differences; return those beyond the stated bounds."""
     there, here = TREE / GIVEN / f"there-{python}.npz", TREE / GIVEN / "here.npz"
-    if arm(python, "python3", "-m", "tools.ci.arm_frames", "reconstruct", str(GIVEN), str(GIVEN / there.name)):
+    if arm(
+        python,
+        "python3",
+        "-m",
+        "tools.ci.arm_frames",
+        "reconstruct",
+        str(GIVEN),
+        str(GIVEN / there.name),
+    ):
         return ["the frames could not be reconstructed there"]
     ours, theirs = np.load(here), np.load(there)
     wrong, rows = [], []
@@ -60,18 +71,32 @@ def same_frames(python: str) -> list[str]:
         return ["other maps than here"]
     for profile in PROFILES:
         mine = [key for key in ours if key.startswith(f"{profile} ")]
-        white = np.concatenate([(ours[key] != theirs[key]).ravel() for key in mine if key.endswith("white")]).mean()
+        white = np.concatenate(
+            [(ours[key] != theirs[key]).ravel() for key in mine if key.endswith("white")]
+        ).mean()
         height, contact = [], []
         for key in mine:
             if key.endswith("height"):
                 height.append(float(np.nanmax(np.abs(ours[key] - theirs[key]))))
             elif key.endswith("contact"):
                 contact.append(float((ours[key] != theirs[key]).mean()))
-        rows.append([profile, f"{1e6 * white:.0f}", f"{max(height):.4f}", f"{1e6 * max(contact):.0f}"])
+        rows.append(
+            [profile, f"{1e6 * white:.0f}", f"{max(height):.4f}", f"{1e6 * max(contact):.0f}"]
+        )
         if not white <= WHITE_MAX_PART or not max(height) <= HEIGHT_MAX_MM[profile]:
-            wrong.append(f"{profile}: height differs by {max(height):.3f} mm, {100 * white:.2f} % of white")
+            wrong.append(
+                f"{profile}: height differs by {max(height):.3f} mm, {100 * white:.2f} % of white"
+            )
     print(
-        markdown(["profile", "other white, px per million", "h, mm at most", "other contact, cells per million"], rows)
+        markdown(
+            [
+                "profile",
+                "other white, px per million",
+                "h, mm at most",
+                "other contact, cells per million",
+            ],
+            rows,
+        )
     )
     return wrong
 
@@ -80,7 +105,9 @@ def package(python: str) -> list[str]:
     """The Debian package, unpacked as dpkg would: its command, by Debian's Python, in its own environment."""
     debs = TREE / GIVEN / f"deb-{python}"
     words = ("--machine", "aarch64", "--python", python, "--level", "1", "--out", str(debs))
-    subprocess.run((sys.executable, "-m", "tools.release.package_debian", *words), cwd=TREE, check=True)
+    subprocess.run(
+        (sys.executable, "-m", "tools.release.package_debian", *words), cwd=TREE, check=True
+    )
     made = max(debs.glob("*.deb"), key=lambda file: file.stat().st_mtime).relative_to(TREE)
     unpack = f"rm -rf /opt/tacshade-edge && dpkg-deb --extract {made} /"
     command = f"{GIVEN}/images/*.png --calibration {GIVEN}/calibration.npz --out /tmp/maps"
@@ -108,7 +135,9 @@ def count() -> None:
                 stages = [stage for stage in STAGES if learned or stage not in ("shear", "sigma")]
                 stages = ["gate"] if image == FREE else stages
                 script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image)]
-                totals = [instructions_each([*script, stage, str(broker.port)], COUNT) for stage in stages]
+                totals = [
+                    instructions_each([*script, stage, str(broker.port)], COUNT) for stage in stages
+                ]
                 own = dict(zip(stages, np.diff([0, *totals]), strict=True))
                 times = [
                     f"{1e3 * totals[-1] / hz / most:.1f} to {1e3 * totals[-1] / hz / least:.1f}"
@@ -126,14 +155,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="What runs on a board's processor, emulated.")
     parser.add_argument("--python", nargs="+", choices=PYTHONS, default=list(PYTHONS))
     parser.add_argument("--skip-quick", action="store_true", help="without the quick tests")
-    parser.add_argument("--count-only", action="store_true", help="instructions of a frame, and nothing else")
+    parser.add_argument(
+        "--count-only", action="store_true", help="instructions of a frame, and nothing else"
+    )
     args = parser.parse_args()
     (TREE / GIVEN).mkdir(parents=True, exist_ok=True)
     for words in (("write", str(GIVEN)), ("reconstruct", str(GIVEN), str(GIVEN / "here.npz"))):
         subprocess.run((sys.executable, "-m", "tools.ci.arm_frames", *words), cwd=TREE, check=True)
     wrong = []
     for python in [] if args.count_only else args.python:
-        stages = {"frames": same_frames, "package": package} | ({} if args.skip_quick else {"quick": quick})
+        stages = {"frames": same_frames, "package": package} | (
+            {} if args.skip_quick else {"quick": quick}
+        )
         for name, stage in stages.items():
             began_s = time.monotonic()
             print(f"\n--- Python {python}: {name}", flush=True)

@@ -29,7 +29,16 @@ PROFILE = "fast"
 SILENT_S = 600
 """It boots beside all other tests."""
 # Without plugins that take half a minute to import there.
-PYTEST = ("pytest", "-p", "no:cacheprovider", "-p", "no:faulthandler", "-p", "no:hypothesispytest", "--tb=native")
+PYTEST = (
+    "pytest",
+    "-p",
+    "no:cacheprovider",
+    "-p",
+    "no:faulthandler",
+    "-p",
+    "no:hypothesispytest",
+    "--tb=native",
+)
 
 
 def give() -> None:
@@ -38,7 +47,9 @@ def give() -> None:
     calibration = enlarged_calibration()
     calibration_file.save(GIVEN / "calibration.npz", calibration)
     np.save(GIVEN / "images.npy", np.stack([enlarged(FREE), enlarged(TOUCHED), enlarged(TOUCHED)]))
-    found = make_reconstructor(calibration, PROFILES[PROFILE]).step(Frame(0, 0, 0, enlarged(TOUCHED)))
+    found = make_reconstructor(calibration, PROFILES[PROFILE]).step(
+        Frame(0, 0, 0, enlarged(TOUCHED))
+    )
     (GIVEN / "depth_mm").write_text(f"{np.nanmax(found.height.height_mm)}")
 
 
@@ -47,8 +58,24 @@ def main() -> int:
     give()
     shutil.rmtree(OUT, ignore_errors=True)
     chosen = sys.argv[1:] or ["tests/guest"]
-    inside = [sys.executable, "-m", *PYTEST, "--confcutdir=tests/guest", "--junitxml=/out/results.xml", *chosen]
-    guest = [sys.executable, "-m", "tools.rig.guest", "--silent", f"{SILENT_S}", "--out", str(OUT), *inside]
+    inside = [
+        sys.executable,
+        "-m",
+        *PYTEST,
+        "--confcutdir=tests/guest",
+        "--junitxml=/out/results.xml",
+        *chosen,
+    ]
+    guest = [
+        sys.executable,
+        "-m",
+        "tools.rig.guest",
+        "--silent",
+        f"{SILENT_S}",
+        "--out",
+        str(OUT),
+        *inside,
+    ]
     return subprocess.run(guest, cwd=TREE, check=False).returncode
 
 

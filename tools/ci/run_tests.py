@@ -31,7 +31,9 @@ SPREAD = ("-n", WORKERS, "--dist", "worksteal")
 """A worker has neighbouring tests, which share what a module makes, until it has nothing left to do."""
 QUICK = "not (broker or browser or container or fit or guest or node or slow)"
 ALL = "not guest and not container"
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+ENVIRONMENT = {
+    name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+}
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
 ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 """As the program sets it for itself. Threads of several workers wait for each other at full speed: to learn from labels
@@ -76,18 +78,24 @@ def run(name: str) -> Stage:
             words = (*words, f"--junitxml={results}")
         beside = name in BESIDE
         environment = ENVIRONMENT | (FEW_EXAMPLES if name == "quick" else {})
-        done = subprocess.run(words, cwd=TREE, env=environment, text=True, capture_output=beside, check=False)
+        done = subprocess.run(
+            words, cwd=TREE, env=environment, text=True, capture_output=beside, check=False
+        )
         if beside:
             print(f"--- {name} ended\n{done.stdout}{done.stderr}", flush=True)
         cases = list(ElementTree.parse(results).iter("testcase")) if results.exists() else []
     bad = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
     skips = [found for case in cases if (found := case.find("skipped")) is not None]
-    skipped = Counter(found.get("message", "") for found in skips if found.get("type") != "pytest.xfail")
+    skipped = Counter(
+        found.get("message", "") for found in skips if found.get("type") != "pytest.xfail"
+    )
     cannot = name == "guest" and done.returncode == CANNOT
     if cannot:
         skipped[done.stderr.strip()] += 1
     passed = len(cases) - bad - len(skips)
-    return Stage(name, time.monotonic() - began_s, done.returncode == 0 or cannot, passed, bad, skipped)
+    return Stage(
+        name, time.monotonic() - began_s, done.returncode == 0 or cannot, passed, bad, skipped
+    )
 
 
 def main() -> int:
@@ -106,7 +114,9 @@ def main() -> int:
             print(f"       {count} skipped: {why}")
     print(f"all    {time.monotonic() - began_s:6.0f}")
     total = [sum(stage.passed for stage in stages), sum(stage.failed for stage in stages)]
-    print(f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped")
+    print(
+        f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped"
+    )
     return 0 if all(stage.ok for stage in stages) else 1
 
 

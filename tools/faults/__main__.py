@@ -25,7 +25,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     one = commands.add_parser("table", help="each fault once, in real parts")
-    one.add_argument("--only", nargs="+", metavar="WORD", help="faults whose names have one of these")
+    one.add_argument(
+        "--only", nargs="+", metavar="WORD", help="faults whose names have one of these"
+    )
     one = commands.add_parser("kills", help="kill -9 at random moments")
     one.add_argument("--count", type=int, default=200, metavar="N")
     one.add_argument("--seed", type=int, default=0, metavar="N")
@@ -35,7 +37,10 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that brokers and daemons end, too
     if args.command == "table":
         rows = list(table.run(args.only, lambda text: print(text, file=sys.stderr, flush=True)))
-        text, problems = table.table([row for row, _ in rows]), [problem for _, problem in rows if problem]
+        text, problems = (
+            table.table([row for row, _ in rows]),
+            [problem for _, problem in rows if problem],
+        )
     elif args.command == "kills":
         text, problems = kills.run(args.count, args.seed)
     else:
@@ -43,7 +48,9 @@ def main() -> int:
     print(text)
     if problems:
         print("\n```\n" + "\n".join(problems) + "\n```")
-        print("\n".join(problems), file=sys.stderr)  # so that problems are visible when the table is discarded
+        print(
+            "\n".join(problems), file=sys.stderr
+        )  # so that problems are visible when the table is discarded
     return 1 if problems else 0
 
 

@@ -53,7 +53,9 @@ class Killed:
         cell.until(lambda: cell.last("contact"), 30, "the first frame")
         crc32 = cell.last("info")["geometry"]["calibration_crc32"]
         if self._reference not in (None, crc32):
-            self.problems.append(f"runs on the reference {crc32:08x}, expected {self._reference:08x}")
+            self.problems.append(
+                f"runs on the reference {crc32:08x}, expected {self._reference:08x}"
+            )
         self._reference, doing = crc32, "nothing yet"
         kill_s = time.monotonic() + draw.uniform(0, longest_s)
         while time.monotonic() < kill_s:
@@ -94,7 +96,11 @@ class Killed:
             self._cell.daemon.send_signal(signal.SIGHUP)
 
     def _ask(self, verb: str, action: str = "", **body: Any) -> None:
-        asked = {"transaction": f"{verb} {action}".strip(), **({"action": action} if action else {}), **body}
+        asked = {
+            "transaction": f"{verb} {action}".strip(),
+            **({"action": action} if action else {}),
+            **body,
+        }
         self._cell.seen.publish(f"{BASE}/req/{verb}", json.dumps(asked).encode())
 
     def _hear(self) -> None:
@@ -102,11 +108,19 @@ class Killed:
         messages = list(self._cell.seen.messages)
         for message in messages[self._heard :]:
             topic = message.topic.removeprefix(f"{BASE}/")
-            if topic not in ("status/stitching", "status/recorder", "res/stitch", "res/record", "res/reference"):
+            if topic not in (
+                "status/stitching",
+                "status/recorder",
+                "res/stitch",
+                "res/record",
+                "res/reference",
+            ):
                 continue
             said = json.loads(message.payload)
             if topic == "status/stitching" and said["name"]:
-                self._presses[said["name"]] = max(self._presses.get(said["name"], 0), said["presses"])
+                self._presses[said["name"]] = max(
+                    self._presses.get(said["name"], 0), said["presses"]
+                )
             elif topic == "status/recorder" and said["state"] == "recording":
                 folder = Path(said["folder"])
                 self._frames[folder] = max(self._frames.get(folder, 0), said["frames"])
@@ -139,13 +153,21 @@ class Killed:
             with TemporaryDirectory() as copied:
                 shutil.copytree(folder, Path(copied, name))
                 try:
-                    state, found = read_info(Path(copied, name)).state, len(StitchFile.resume(Path(copied, name))[1])
+                    state, found = (
+                        read_info(Path(copied, name)).state,
+                        len(StitchFile.resume(Path(copied, name))[1]),
+                    )
                 except TacshadeError as error:
                     state = str(error)
             if found < presses:
-                self.problems.append(f"session {name}: {found} presses are there, {presses} were acknowledged: {state}")
+                self.problems.append(
+                    f"session {name}: {found} presses are there, {presses} were acknowledged: {state}"
+                )
         # An abort or end that was done but not yet acknowledged is the new state, too.
-        right = {"aborted": state == "gone", "ended": state == "ended" and (folder / "map.npz").exists()}
+        right = {
+            "aborted": state == "gone",
+            "ended": state == "ended" and (folder / "map.npz").exists(),
+        }
         if over and not right[over]:
             self.problems.append(f"session {name} was {over} and is {state}")
         if over or state in ("gone", "ended"):
@@ -159,7 +181,9 @@ class Killed:
             if frames:
                 self.problems.append(f"recording {folder.name}: {error}")
         finished = self._finished.get(folder)
-        if read < frames or (finished is not None and (read != finished or not (folder / "recording.json").exists())):
+        if read < frames or (
+            finished is not None and (read != finished or not (folder / "recording.json").exists())
+        ):
             self.problems.append(
                 f"recording {folder.name}: {read} frames are there, {finished or frames} were reported"
             )
@@ -175,10 +199,19 @@ def run(count: int, seed: int, longest_s: float = LONGEST_S) -> tuple[str, list[
         for number in range(count):
             before = len(killed.problems)
             killed.one(random.Random(f"{seed}:{number}"), longest_s)
-            killed.problems[before:] = [f"kill {number}: {problem}" for problem in killed.problems[before:]]
+            killed.problems[before:] = [
+                f"kill {number}: {problem}" for problem in killed.problems[before:]
+            ]
     rows = ["| killed while the latest was | kills |", "|---|---:|"]
     rows += [f"| {what} | {times} |" for what, times in sorted(killed.doing.items())]
-    rows += [f"| all | {killed.doing.total()} |", "", "| acknowledged, and looked for after the kill | count |"]
-    rows += ["|---|---:|", *(f"| {what} | {times} |" for what, times in sorted(killed.said.items()))]
+    rows += [
+        f"| all | {killed.doing.total()} |",
+        "",
+        "| acknowledged, and looked for after the kill | count |",
+    ]
+    rows += [
+        "|---|---:|",
+        *(f"| {what} | {times} |" for what, times in sorted(killed.said.items())),
+    ]
     rows += [f"| lost, or neither old nor new | {len(killed.problems)} |"]
     return "\n".join(rows), killed.problems

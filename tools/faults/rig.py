@@ -131,7 +131,11 @@ class Cell:
         return fresh.replace(path)
 
     def start(
-        self, path: Path | None = None, *, streams: bool = True, environment: dict[str, str] | None = None
+        self,
+        path: Path | None = None,
+        *,
+        streams: bool = True,
+        environment: dict[str, str] | None = None,
     ) -> float:
         """Start the daemon, if `streams` also the broker, and wait for frames; return the start's time in s."""
         if streams and not self.seen.client.is_connected():
@@ -140,7 +144,9 @@ class Cell:
         self._daemon = self.spawn(path or self.settings(), environment=environment)
         if streams:
             self.until(lambda: "source streaming" in self.new_log(), 30, "frames")
-            self.until(lambda: self.last("health").get("frames", {}).get("captured", 0) > 5, 30, "health")
+            self.until(
+                lambda: self.last("health").get("frames", {}).get("captured", 0) > 5, 30, "health"
+            )
         return began_s
 
     def spawn(
@@ -160,7 +166,9 @@ class Cell:
         began_s = time.monotonic()
         other = self.spawn(self.folder / "s.yaml", "other")
         try:
-            self.until(lambda: line in self.log("other"), 20, f"{line}: {self.log('other')[-300:]!r}")
+            self.until(
+                lambda: line in self.log("other"), 20, f"{line}: {self.log('other')[-300:]!r}"
+            )
             yield time.monotonic() - began_s
         finally:
             other.kill()
@@ -190,14 +198,20 @@ class Cell:
 
     def reported(self, pattern: str, since_s: float, seconds: float = 30) -> float:
         """Wait until a new line of the log matches; return the seconds since `since_s`."""
-        self.until(lambda: re.search(pattern, self.new_log()), seconds, f"{pattern} in {self.new_log()[-300:]!r}")
+        self.until(
+            lambda: re.search(pattern, self.new_log()),
+            seconds,
+            f"{pattern} in {self.new_log()[-300:]!r}",
+        )
         return time.monotonic() - since_s
 
     def until(self, condition: Callable[[], object], seconds: float, what: str) -> float:
         """Poll until the condition holds, and return the seconds; fail immediately if the daemon has ended."""
 
         def holds() -> object:
-            assert self._daemon is None or self._daemon.poll() is None, f"the daemon ended: {self.log()[-500:]}"
+            assert self._daemon is None or self._daemon.poll() is None, (
+                f"the daemon ended: {self.log()[-500:]}"
+            )
             return condition()
 
         began_s = time.monotonic()
@@ -215,7 +229,9 @@ class Cell:
         self.seen.messages.clear()
 
         def fresh() -> int:
-            return sum(int.from_bytes(p[16:24], "little") > now_ns for p in self.seen.of(f"{BASE}/height"))
+            return sum(
+                int.from_bytes(p[16:24], "little") > now_ns for p in self.seen.of(f"{BASE}/height")
+            )
 
         return self.until(lambda: fresh() > 2, 20, "height maps")
 
@@ -224,20 +240,28 @@ class Cell:
         before = len(self.seen.of(f"{BASE}/health"))
         self.until(lambda: len(self.seen.of(f"{BASE}/health")) > before, 10, "health")
         frames: dict[str, int] = self.last("health")["frames"]
-        assert frames["captured"] == sum(n for name, n in frames.items() if name != "captured"), frames
+        assert frames["captured"] == sum(n for name, n in frames.items() if name != "captured"), (
+            frames
+        )
         return frames
 
     def ask(self, verb: str, **body: Any) -> dict[str, Any]:
         """Send a request; return its answer."""
         before = len(self.seen.of(f"{BASE}/res/{verb}"))
         self.seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode())
-        self.until(lambda: len(self.seen.of(f"{BASE}/res/{verb}")) > before, 20, f"an answer to {verb} {body}")
+        self.until(
+            lambda: len(self.seen.of(f"{BASE}/res/{verb}")) > before,
+            20,
+            f"an answer to {verb} {body}",
+        )
         answer: dict[str, Any] = self.last(f"res/{verb}")
         return answer
 
     def presses(self, count: int) -> int:
         """Wait until a session has `count` presses of settled contacts; return how many were acknowledged."""
-        self.until(lambda: self.last("status/stitching").get("presses", 0) >= count, 30, f"{count} presses")
+        self.until(
+            lambda: self.last("status/stitching").get("presses", 0) >= count, 30, f"{count} presses"
+        )
         found: int = self.last("status/stitching")["presses"]
         return found
 
@@ -250,7 +274,9 @@ class Cell:
     def record(self, name: str = "r", frames: int = 30, **more: str) -> None:
         """Start a recording and wait until it has some frames."""
         assert self.ask("record", action="start", seconds=600, name=name, **more)["ok"]
-        self.until(lambda: self.last("status/recorder").get("frames", 0) > frames, 30, "a recording")
+        self.until(
+            lambda: self.last("status/recorder").get("frames", 0) > frames, 30, "a recording"
+        )
 
     def ended(self, process: subprocess.Popen[bytes]) -> int:
         """Wait until a process ends without a traceback; return its exit code."""

@@ -55,13 +55,23 @@ FLAT = 0.02
 def place(at_s: float) -> PoseValues:
     """The robot's pose at a time: it visits the places of a square, which are further apart than a press is wide."""
     number = int(at_s / PERIODS_S["add"])
-    return (number % PLACES * PLACE_MM, number // PLACES % PLACES * PLACE_MM, 60.0, 0.0, 1.0, 0.0, 0.0)
+    return (
+        number % PLACES * PLACE_MM,
+        number // PLACES % PLACES * PLACE_MM,
+        60.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    )
 
 
 class Soak:
     """The run and its results."""
 
-    def __init__(self, folder: Path, broker: Broker, seen: Subscriber, hand: subprocess.Popen[bytes]) -> None:
+    def __init__(
+        self, folder: Path, broker: Broker, seen: Subscriber, hand: subprocess.Popen[bytes]
+    ) -> None:
         self.counts, self.problems = Counter[str](), list[str]()
         self.health: dict[str, dict[str, Any]] = {}
         self.resident_mb: dict[str, list[tuple[float, float]]] = {}
@@ -76,7 +86,9 @@ class Soak:
     def run(self, seconds: float, bridges: dict[str, BridgeProcess]) -> None:
         """Restart brokers, record, stitch, scrape and measure memory until the time is over."""
         began_s = time.monotonic()
-        next_s = {what: min(10.0, period_s) for what, period_s in PERIODS_S.items()} | {"restart": RESTART_S}
+        next_s = {what: min(10.0, period_s) for what, period_s in PERIODS_S.items()} | {
+            "restart": RESTART_S
+        }
         down_since_s: float | None = None
         while (at_s := time.monotonic() - began_s) < seconds:
             if self._hand.poll() is not None:
@@ -93,7 +105,11 @@ class Soak:
                 elif what == "scrape":
                     self.scrape(bridges["prometheus"])
                 elif what == "progress":
-                    print(f"{at_s:6.0f} s {dict(self.counts)} {self.problems}", file=sys.stderr, flush=True)
+                    print(
+                        f"{at_s:6.0f} s {dict(self.counts)} {self.problems}",
+                        file=sys.stderr,
+                        flush=True,
+                    )
                 elif down_since_s is not None:
                     continue
                 elif what == "restart":
@@ -119,7 +135,11 @@ class Soak:
             with (
                 contextlib.suppress(OSError, WebSocketException, TimeoutError),
                 connect(
-                    url, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None, compression=None, max_queue=1
+                    url,
+                    subprotocols=[Subprotocol("foxglove.sdk.v1")],
+                    max_size=None,
+                    compression=None,
+                    max_queue=1,
                 ) as viewer,
             ):
                 self.counts[f"{who}: connections"] += 1
@@ -158,7 +178,9 @@ class Soak:
             elif topic == "health":
                 frames = (health := json.loads(message.payload))["frames"]
                 self.health[name] = health
-                if frames["captured"] != sum(count for outcome, count in frames.items() if outcome != "captured"):
+                if frames["captured"] != sum(
+                    count for outcome, count in frames.items() if outcome != "captured"
+                ):
                     self.problems.append(f"{name}: not accounted for: {frames}")
             elif topic == "status/recorder":
                 self._take_recording(json.loads(message.payload))
@@ -170,10 +192,19 @@ class Soak:
         folder = Path(status.get("folder") or "/nowhere")
         if status["state"] == "recording" or not folder.is_dir():
             return
-        rows, pictures = len(read_table(folder / "frames.csv")), sum(1 for _ in folder.glob("*.png"))
+        rows, pictures = (
+            len(read_table(folder / "frames.csv")),
+            sum(1 for _ in folder.glob("*.png")),
+        )
         if not rows == pictures == status["frames"]:
-            self.problems.append(f"{folder.name}: {rows} rows, {pictures} images, {status['frames']} reported")
-        self.counts += {"recordings": 1, "frames recorded": rows, "frames not recorded": status["dropped"]}
+            self.problems.append(
+                f"{folder.name}: {rows} rows, {pictures} images, {status['frames']} reported"
+            )
+        self.counts += {
+            "recordings": 1,
+            "frames recorded": rows,
+            "frames not recorded": status["dropped"],
+        }
         shutil.rmtree(folder)
 
     def _take_answer(self, answer: dict[str, Any]) -> None:
@@ -197,11 +228,15 @@ class Soak:
         self._seen.publish(f"tacshade/{name}/req/{verb}", json.dumps(body).encode(), 0)
 
     def _measure(self, at_s: float, bridges: dict[str, BridgeProcess]) -> None:
-        children = subprocess.run(("pgrep", "-P", str(self._hand.pid)), capture_output=True, check=False).stdout.split()
+        children = subprocess.run(
+            ("pgrep", "-P", str(self._hand.pid)), capture_output=True, check=False
+        ).stdout.split()
         named = {f"hand, process {pid}": pid for pid in (self._hand.pid, *map(int, children))}
         if self.resident_mb and not set(named) <= set(self.resident_mb):
             self.problems.append(f"another process after {at_s:.0f} s: {sorted(named)}")
-        for process, pid in (named | {kind: bridge.process.pid for kind, bridge in bridges.items()}).items():
+        for process, pid in (
+            named | {kind: bridge.process.pid for kind, bridge in bridges.items()}
+        ).items():
             self.resident_mb.setdefault(process, []).append((at_s, memory_mb(pid)["resident"]))
 
     def change(self, process: str) -> float:
@@ -222,8 +257,13 @@ class Soak:
                 name, {"frames": {"pending": 1, "captured": 0}, "uptime_s": 0, "source_dropped": 0}
             )
             frames, due = health["frames"], health["uptime_s"] * FPS
-            if frames["pending"] or abs(frames["captured"] + health["source_dropped"] - due) > 3 * FPS:
-                self.problems.append(f"{name}: {frames}, {health['source_dropped']} dropped, {due:.0f} were due")
+            if (
+                frames["pending"]
+                or abs(frames["captured"] + health["source_dropped"] - due) > 3 * FPS
+            ):
+                self.problems.append(
+                    f"{name}: {frames}, {health['source_dropped']} dropped, {due:.0f} were due"
+                )
         for process in self.resident_mb:
             if abs(self.change(process)) > FLAT:
                 self.problems.append(f"{process}: memory changed by {self.change(process):+.1%}")
@@ -237,12 +277,18 @@ class Soak:
             outcomes += Counter(health["frames"]) + Counter(
                 {"dropped by the source, and counted": health["source_dropped"]}
             )
-        rows += [f"| frames of all fingers: {outcome} | {count} |" for outcome, count in outcomes.items()]
+        rows += [
+            f"| frames of all fingers: {outcome} | {count} |" for outcome, count in outcomes.items()
+        ]
         for number, (process, sizes) in enumerate(self.resident_mb.items()):
             name = re.sub(r" \d+$", f" {number}", process)
             most = max(mb for _, mb in sizes)
-            rows.append(f"| {name}: most MB, change of the least | {most:.0f}, {self.change(process):+.1%} |")
-        return "\n".join((*rows, f"| not accounted for, out of order, ended, grown | {len(self.problems)} |"))
+            rows.append(
+                f"| {name}: most MB, change of the least | {most:.0f}, {self.change(process):+.1%} |"
+            )
+        return "\n".join(
+            (*rows, f"| not accounted for, out of order, ended, grown | {len(self.problems)} |")
+        )
 
 
 def settings(folder: Path, port: int, link: Path) -> Path:
@@ -251,7 +297,9 @@ def settings(folder: Path, port: int, link: Path) -> Path:
     lines += ["recorder: {folder: recs}", "stitching: {folder: maps}", "sensors:"]
     for k, name in enumerate(FINGERS):
         calibration_file.save(folder / f"{name}.npz", make_calibration())
-        robot = f", serial: {{device: /dev/..{link}}}" if k == 0 else ""  # the settings require a path below /dev
+        robot = (
+            f", serial: {{device: /dev/..{link}}}" if k == 0 else ""
+        )  # the settings require a path below /dev
         own = f"calibration: {name}.npz, source: {{kind: simulated}}{robot}"
         lines.append(f"  {name}: {{{own}, hand_T_sensor: [{40 * k}, 0, 90, 1, 0, 0, 0]}}")
     path = folder / "hand.yaml"
@@ -265,19 +313,28 @@ def run(seconds: float) -> tuple[str, list[str]]:
         folder = Path(name)
         draw_rings(folder)
         broker = stack.enter_context(Broker(folder))
-        robot = stack.enter_context(PtyRobot(folder / "line", rate_hz=100, binary=True, where=place))
+        robot = stack.enter_context(
+            PtyRobot(folder / "line", rate_hz=100, binary=True, where=place)
+        )
         seen = stack.enter_context(Subscriber(broker.port, "tacshade/#"))
-        rings = [folder / f"{'contact' if k < PRESSED else 'free'}.npy" for k in range(len(FINGERS))]
+        rings = [
+            folder / f"{'contact' if k < PRESSED else 'free'}.npy" for k in range(len(FINGERS))
+        ]
         words = list(map(str, (settings(folder, broker.port, folder / "line"), FPS, *rings)))
         with (folder / "log").open("w") as log:
-            hand = subprocess.Popen([sys.executable, "-m", "tools.testbed.ring_daemon", *words], stderr=log)
+            hand = subprocess.Popen(
+                [sys.executable, "-m", "tools.testbed.ring_daemon", *words], stderr=log
+            )
         stack.callback(hand.kill)
         bridges = {
             kind: stack.enter_context(BridgeProcess(kind, broker.port, folder / f"{kind}.log"))
             for kind in ("prometheus", "foxglove")
         }
         soak = Soak(folder, broker, seen, hand)
-        viewers = [threading.Thread(target=soak.view, args=(bridges["foxglove"].url, reads)) for reads in (True, False)]
+        viewers = [
+            threading.Thread(target=soak.view, args=(bridges["foxglove"].url, reads))
+            for reads in (True, False)
+        ]
         for viewer in viewers:
             viewer.start()
         try:
@@ -295,12 +352,16 @@ def run(seconds: float) -> tuple[str, list[str]]:
         for kind, bridge in bridges.items():
             soak.counts[f"ms until {kind} ended"] = round(1000 * bridge.stopped_s())
         logs = {file.name: file.read_text() for file in (folder / "log", *folder.glob("*.log"))}
-        soak.problems += [f"{file}: {text[-1000:]}" for file, text in logs.items() if "Traceback" in text]
+        soak.problems += [
+            f"{file}: {text[-1000:]}" for file, text in logs.items() if "Traceback" in text
+        ]
         if code:
             soak.problems.append(f"exit code {code}: {logs['log'][-1000:]}")
         serial = soak.health.get(FINGERS[0], {}).get("serial", {"poses": 0, "poses_lost": 1 << 60})
         if serial["poses"] + serial["poses_lost"] > robot.counts.poses:
-            soak.problems.append(f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.counts.poses}")
+            soak.problems.append(
+                f"{serial['poses']} poses and {serial['poses_lost']} lost of {robot.counts.poses}"
+            )
         soak.counts["lines of the hand's log"] = len(logs["log"].splitlines())
         soak.judge()
         return soak.table(), soak.problems

@@ -19,7 +19,18 @@ from tacshade_edge.quoting import counted
 from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
-from tools.faults.rig import BASE, FAULTS, Cell, Fault, Seen, SkippedError, fault, frames_of, pause, small_disk
+from tools.faults.rig import (
+    BASE,
+    FAULTS,
+    Cell,
+    Fault,
+    Seen,
+    SkippedError,
+    fault,
+    frames_of,
+    pause,
+    small_disk,
+)
 from tools.testbed.painted_sensor import BLACK, painted_calibration
 from tools.testbed.robot import Faults, PtyRobot
 
@@ -42,7 +53,12 @@ def killed(cell: Cell) -> Seen:
     cell.broker.start()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(f"{counted(lost, 'frame')}, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+    return Seen(
+        f"{counted(lost, 'frame')}, counted as failed",
+        "log, `health.mqtt.losses`",
+        detected_s,
+        recovered_s,
+    )
 
 
 @fault(f"broker stalls for {STALL_S:.0f} s")
@@ -80,7 +96,12 @@ def network_stalls(cell: Cell) -> Seen:
     cell.broker.resume()
     recovered_s = cell.maps_again()
     lost = cell.frames()["failed"] - before
-    return Seen(f"{counted(lost, 'frame')}, counted as failed", "log, `health.mqtt.losses`", detected_s, recovered_s)
+    return Seen(
+        f"{counted(lost, 'frame')}, counted as failed",
+        "log, `health.mqtt.losses`",
+        detected_s,
+        recovered_s,
+    )
 
 
 @fault("broker denies publishing")
@@ -111,7 +132,9 @@ def flood(cell: Cell) -> Seen:
     cell.start()
     cell.mark()
     for number in range(FLOOD):
-        cell.seen.publish(f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0)
+        cell.seen.publish(
+            f"{BASE}/req/profile", json.dumps({"profile": f"x{number}\n\x1b[31m"}).encode(), 0
+        )
 
     def answered() -> bool:
         # Only a few answers may wait for the broker, so one may be missing.
@@ -142,7 +165,9 @@ def _robot(cell: Cell, faults: Faults | None = None) -> PtyRobot:
 
 
 def _synchronised(cell: Cell) -> float:
-    return cell.until(lambda: cell.last("status/serial").get("sync") == "two-way", 30, "synchronised")
+    return cell.until(
+        lambda: cell.last("status/serial").get("sync") == "two-way", 30, "synchronised"
+    )
 
 
 @fault("serial line pulled, and back")
@@ -169,7 +194,9 @@ def restarts(cell: Cell) -> Seen:
     since_s = time.monotonic()
     detected_s = cell.reported("the robot sent a greeting", since_s)
     recovered_s = cell.reported("sync two-way", since_s)
-    return Seen("poses until the clocks agree again", "log, `status/serial`", detected_s, recovered_s)
+    return Seen(
+        "poses until the clocks agree again", "log, `status/serial`", detected_s, recovered_s
+    )
 
 
 @fault("a tenth of the robot's lines damaged")
@@ -180,13 +207,17 @@ def noise(cell: Cell) -> Seen:
     serial = cell.last("health")["serial"]
     assert serial["damaged"] > 0
     assert serial["poses"] > 100
-    return Seen(f"{counted(serial['damaged'], 'line')}, counted; none taken for another", "`health.serial`")
+    return Seen(
+        f"{counted(serial['damaged'], 'line')}, counted; none taken for another", "`health.serial`"
+    )
 
 
 @fault("robot falls silent")
 def silent(cell: Cell) -> Seen:
     _robot(cell).stop_talking()
-    detected_s = cell.until(lambda: cell.last("status/serial").get("state") == "silent", 20, "silent")
+    detected_s = cell.until(
+        lambda: cell.last("status/serial").get("state") == "silent", 20, "silent"
+    )
     return Seen("frames have no pose", "`status/serial`, `health.serial`", detected_s)
 
 
@@ -262,7 +293,9 @@ def full_while_recording(cell: Cell) -> Seen:
     cell.record(frames=20)
     since_s = cell.mark()
     filler = _fill(disk)
-    cell.until(lambda: cell.last("status/recorder").get("state") == "stopped", 30, "the recording's end")
+    cell.until(
+        lambda: cell.last("status/recorder").get("state") == "stopped", 30, "the recording's end"
+    )
     detected_s = time.monotonic() - since_s
     status = cell.last("status/recorder")
     assert status["ending_code"] == "disk_full", status
@@ -295,7 +328,10 @@ def read_while_recording(cell: Cell) -> Seen:
         cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
         status = cell.last("status/recorder")
         stamps_ns, damage = frames_of(path / "000.mcap" if kind == "mcap" else path)
-        assert (len(stamps_ns), damage, status["dropped"]) == (status["frames"], [], 0), (damage, status)
+        assert (len(stamps_ns), damage, status["dropped"]) == (status["frames"], [], 0), (
+            damage,
+            status,
+        )
         cell.mark()
     return Seen(f"nothing in {reads} readings; each has what was written until then", "")
 
@@ -326,7 +362,9 @@ def full_in_a_session(cell: Cell) -> Seen:
     cell.presses(presses + 1)
     missed = cell.last("status/stitching")["missed"]
     where = "log, `status/stitching.missed`"
-    return Seen(f"{counted(missed, 'press')}, each refused", where, detected_s, time.monotonic() - since_s)
+    return Seen(
+        f"{counted(missed, 'press')}, each refused", where, detected_s, time.monotonic() - since_s
+    )
 
 
 @fault("a bit flipped in a session's presses")
@@ -345,7 +383,12 @@ def flipped_bit(cell: Cell) -> Seen:
     found = cell.presses(1)
     assert found >= count - 1, (found, count)
     assert path.with_name(f"{PRESSES}.damaged-1").read_bytes() == content
-    return Seen(f"1 press of {count}; the file is kept beside", "log", detected_s, time.monotonic() - began_s)
+    return Seen(
+        f"1 press of {count}; the file is kept beside",
+        "log",
+        detected_s,
+        time.monotonic() - began_s,
+    )
 
 
 @fault("two bits flipped in a recording as MCAP")
@@ -413,7 +456,9 @@ def daemon_killed(cell: Cell) -> Seen:
     cell.mark()
     began_s = cell.start()
     assert cell.presses(1) >= count
-    return Seen("nothing that was reported", "`state` offline", detected_s, time.monotonic() - began_s)
+    return Seen(
+        "nothing that was reported", "`state` offline", detected_s, time.monotonic() - began_s
+    )
 
 
 @fault(f"daemon gets no processor for {FROZEN_S:.0f} s")
@@ -425,7 +470,9 @@ def frozen(cell: Cell) -> Seen:
     cell.daemon.send_signal(signal.SIGCONT)
     recovered_s = cell.maps_again()
     assert cell.frames()["captured"] > before
-    return Seen("what the camera showed meanwhile", "`health.source_dropped` of a camera", None, recovered_s)
+    return Seen(
+        "what the camera showed meanwhile", "`health.source_dropped` of a camera", None, recovered_s
+    )
 
 
 @fault("wall clock steps by a day, 10 and 100 years")
@@ -485,11 +532,15 @@ def run_one(fault: Fault) -> tuple[str, ...]:
     """Run a fault with a new daemon and broker; return its cells. Raises AssertionError if a promise is broken."""
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         seen = fault(cell)
-    times = ("" if value is None else f"{value:.1f}" for value in (seen.detected_s, seen.recovered_s))
+    times = (
+        "" if value is None else f"{value:.1f}" for value in (seen.detected_s, seen.recovered_s)
+    )
     return (*times, seen.lost, seen.where)
 
 
-def run(words: list[str] | None, report: Callable[[str], None]) -> Iterator[tuple[tuple[str, ...], str]]:
+def run(
+    words: list[str] | None, report: Callable[[str], None]
+) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield the rows of the table, each with its problem or an empty string."""
     for name, one in FAULTS.items():
         if words and not any(word in name for word in words):
@@ -509,4 +560,9 @@ def run(words: list[str] | None, report: Callable[[str], None]) -> Iterator[tupl
 def table(rows: list[tuple[str, ...]]) -> str:
     """Write the table."""
     lines = ["| " + " | ".join(HEAD) + " |", "|---|---:|---:|---|---|"]
-    return "\n".join((*lines, *("| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows)))
+    return "\n".join(
+        (
+            *lines,
+            *("| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows),
+        )
+    )

@@ -24,7 +24,9 @@ from tools.release.version import version
 TREE = Path(__file__).resolve().parents[2]
 UV = (sys.executable, "-m", "uv")
 TWINE = (*UV, "tool", "run", "--quiet", "twine>=6", "check", "--strict")
-_LINK = re.compile(r"(?P<before>(?P<image>!?)\[(?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*\]\()(?P<target>[^)\s]+)(?=\))")
+_LINK = re.compile(
+    r"(?P<before>(?P<image>!?)\[(?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*\]\()(?P<target>[^)\s]+)(?=\))"
+)
 _ATTRIBUTE = re.compile(r"(?P<before>\b(?P<name>src|srcset|href)=\")(?P<target>[^\"]+)(?=\")")
 _ELSEWHERE = re.compile(r"[a-z]+:|#")
 
@@ -36,15 +38,23 @@ def projects(tree: Path) -> list[Path]:
 
 def kinds(project: Path) -> tuple[str, ...]:
     """What uv is to build: a wheel alone of a project that says nothing of its sdist, else both."""
-    built = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
+    built = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "hatch"
+    ]["build"]
     return () if "sdist" in built["targets"] else ("--wheel",)
 
 
 def repository(tree: Path) -> str:
     """The repository's address, from pyproject.toml. Raises ValueError: it is none, and no index would take it."""
-    found = str(tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Repository"])
+    found = str(
+        tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
+            "Repository"
+        ]
+    )
     if not found.startswith("https://"):
-        raise ValueError(f"pyproject.toml: Repository: found {found}, expected an address with https://")
+        raise ValueError(
+            f"pyproject.toml: Repository: found {found}, expected an address with https://"
+        )
     return found.rstrip("/")
 
 
@@ -63,7 +73,9 @@ def absolute(text: str, folder: str, address: str, ref: str) -> str:
             path = PurePosixPath(Path("/", path).resolve().relative_to("/"))
         return f"{found['before']}{address}/{kind}/{ref}/{path}{mark}{anchor}"
 
-    inner = re.sub(r"!\[[^\]]*\]\([^)\s]+\)", lambda image: _LINK.sub(made, image[0]), text)  # images within links
+    inner = re.sub(
+        r"!\[[^\]]*\]\([^)\s]+\)", lambda image: _LINK.sub(made, image[0]), text
+    )  # images within links
     return _ATTRIBUTE.sub(made, _LINK.sub(made, inner))
 
 
@@ -84,10 +96,24 @@ def build(tree: Path, out: Path) -> list[Path]:
         for project in projects(clone):
             readme = project / "README.md"
             where = str(project.relative_to(clone))
-            readme.write_text(absolute(readme.read_text(encoding="utf-8"), where, address, ref), encoding="utf-8")
-            words = ("build", "--quiet", "--no-build-isolation", "--out-dir", str(made), *kinds(project), str(project))
+            readme.write_text(
+                absolute(readme.read_text(encoding="utf-8"), where, address, ref), encoding="utf-8"
+            )
+            words = (
+                "build",
+                "--quiet",
+                "--no-build-isolation",
+                "--out-dir",
+                str(made),
+                *kinds(project),
+                str(project),
+            )
             subprocess.run((*UV, *words), check=True)
-        return [path.replace(out / path.name) for path in sorted(made.iterdir()) if not path.name.startswith(".")]
+        return [
+            path.replace(out / path.name)
+            for path in sorted(made.iterdir())
+            if not path.name.startswith(".")
+        ]
 
 
 def check(files: list[Path]) -> None:
@@ -97,7 +123,9 @@ def check(files: list[Path]) -> None:
 
 def main() -> int:
     """Build and check."""
-    parser = argparse.ArgumentParser(prog="distributions.py", description="Build every distribution's sdist and wheel.")
+    parser = argparse.ArgumentParser(
+        prog="distributions.py", description="Build every distribution's sdist and wheel."
+    )
     parser.add_argument("--out", type=Path, default=TREE / "dist", help="folder")
     args = parser.parse_args()
     try:

@@ -27,7 +27,9 @@ def slug(heading: str, separator: str = "-") -> str:
 
 def pages_of(folder: str, docs: Path = DOCS) -> list[str]:
     """The pages of a folder that mkdocs.yml names as a whole, its README first."""
-    pages = sorted((docs / folder).glob("*.md"), key=lambda page: (page.name != "README.md", page.name))
+    pages = sorted(
+        (docs / folder).glob("*.md"), key=lambda page: (page.name != "README.md", page.name)
+    )
     return [page.relative_to(docs).as_posix() for page in pages]
 
 

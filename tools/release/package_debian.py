@@ -33,7 +33,11 @@ RELEASES = {"3.11": 12, "3.13": 13}
 ELF_MACHINES = {"x86_64": 62, "aarch64": 183}
 UV = (sys.executable, "-m", "uv")
 LOCK = TREE / "systemd/requirements.lock"
-CONFFILES = ("etc/tacshade-edge/config.yaml", "etc/mosquitto/conf.d/tacshade.conf", "etc/mosquitto/tacshade.acl")
+CONFFILES = (
+    "etc/tacshade-edge/config.yaml",
+    "etc/mosquitto/conf.d/tacshade.conf",
+    "etc/mosquitto/tacshade.acl",
+)
 OURS = ("refresh.sh", "hand.conf", "rpicam.conf", "serial.conf")
 """Files that the scripts run, and files that a person installs as needed."""
 SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
@@ -62,7 +66,9 @@ lists them.
 
 def main() -> int:
     """Make the packages that the command line requests."""
-    parser = argparse.ArgumentParser(prog="package_debian.py", description="Make Debian packages of the service.")
+    parser = argparse.ArgumentParser(
+        prog="package_debian.py", description="Make Debian packages of the service."
+    )
     parser.add_argument("--machine", nargs="+", choices=ARCHITECTURES, default=list(ARCHITECTURES))
     parser.add_argument("--python", nargs="+", choices=RELEASES, default=list(RELEASES))
     parser.add_argument("--out", type=Path, default=TREE / "dist", help="folder")
@@ -112,7 +118,10 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
     check_machine(root, machine)
     # Before anything in DEBIAN, which is not installed.
     files = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink()]
-    sums = [f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n" for path in files]
+    sums = [
+        f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(root)}\n"
+        for path in files
+    ]
     about_it = {
         "version": version,
         "architecture": ARCHITECTURES[machine],
@@ -131,8 +140,25 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
 def environment(app: Path, wheel: Path, machine: str, python: str) -> None:
     """A virtual environment of Debian's Python, which takes no more than this, filled for another machine."""
     packages = app / "lib" / f"python{python}" / "site-packages"
-    board = ("--python-platform", f"{machine}-manylinux_2_28", "--python-version", python, "--target", str(packages))
-    words = ("install", "--quiet", *board, "--no-deps", "--require-hashes", "--link-mode", "copy", "-r", str(LOCK))
+    board = (
+        "--python-platform",
+        f"{machine}-manylinux_2_28",
+        "--python-version",
+        python,
+        "--target",
+        str(packages),
+    )
+    words = (
+        "install",
+        "--quiet",
+        *board,
+        "--no-deps",
+        "--require-hashes",
+        "--link-mode",
+        "copy",
+        "-r",
+        str(LOCK),
+    )
     subprocess.run((*UV, "pip", *words), check=True)
     zipfile.ZipFile(wheel).extractall(packages)  # an installer would note where and when
     (packages / ".lock").unlink(missing_ok=True)
@@ -142,7 +168,9 @@ def environment(app: Path, wheel: Path, machine: str, python: str) -> None:
     (app / "bin/python").symlink_to("python3")
     (app / "pyvenv.cfg").write_text("home = /usr/bin\ninclude-system-site-packages = false\n")
     command = app / "bin/tacshade-edge"
-    command.write_text(f"#!/{APP}/bin/python3\nfrom tacshade_edge.__main__ import entry\n\nentry()\n")
+    command.write_text(
+        f"#!/{APP}/bin/python3\nfrom tacshade_edge.__main__ import entry\n\nentry()\n"
+    )
     command.chmod(0o755)
 
 
@@ -152,7 +180,10 @@ def check_machine(root: Path, machine: str) -> None:
         if path.is_file() and not path.is_symlink():
             with path.open("rb") as file:
                 head = file.read(20)
-            if head[:4] == b"\x7fELF" and int.from_bytes(head[18:20], "little") != ELF_MACHINES[machine]:
+            if (
+                head[:4] == b"\x7fELF"
+                and int.from_bytes(head[18:20], "little") != ELF_MACHINES[machine]
+            ):
                 raise ValueError(f"{path.relative_to(root)}: expected a file for {machine}")
 
 

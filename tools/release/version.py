@@ -27,13 +27,17 @@ def version(root: Path = ROOT) -> str:
     if (about := root / "PKG-INFO").is_file():
         return str(email.message_from_string(about.read_text(encoding="utf-8"))["Version"])
     if (root / ".git").exists():  # otherwise git would describe a repository around the tree
-        if described := _git(root, "describe", "--tags", "--long", "--match", "v[0-9]*", "--exclude", "*-*"):
+        if described := _git(
+            root, "describe", "--tags", "--long", "--match", "v[0-9]*", "--exclude", "*-*"
+        ):
             return version_of(described)
         if commits := _git(root, "rev-list", "--count", "HEAD"):  # before the first release
             return f"0.1.0.dev{commits}+g{_git(root, 'rev-parse', '--short', 'HEAD')}"
         return UNKNOWN
     archived = root / "tools/release/archive_version.txt"
-    return version_of(archived.read_text(encoding="utf-8").strip()) if archived.is_file() else UNKNOWN
+    return (
+        version_of(archived.read_text(encoding="utf-8").strip()) if archived.is_file() else UNKNOWN
+    )
 
 
 def version_of(described: str) -> str:

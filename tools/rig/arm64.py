@@ -32,7 +32,11 @@ TREE = HERE.parents[1]
 CACHE = TREE / ".rig"
 SUITES = {"3.11": "bookworm", "3.13": "trixie"}
 PROCESSOR = "cortex-a76"
-PROGRAMS = {"debootstrap": "debootstrap", "qemu-aarch64-static": "qemu-user-static", "dpkg-deb": "dpkg"}
+PROGRAMS = {
+    "debootstrap": "debootstrap",
+    "qemu-aarch64-static": "qemu-user-static",
+    "dpkg-deb": "dpkg",
+}
 COUNT_PROGRAMS = {"qemu-aarch64": "qemu-user", "cc": "gcc"}
 EXIT_CANNOT = 77
 UV = (sys.executable, "-m", "uv", "pip", "--quiet")
@@ -79,7 +83,9 @@ def check(programs: dict[str, str]) -> None:
     """Raise CannotRunError if a requirement is missing."""
     if os.geteuid():
         raise CannotRunError("expected root (to mount, and to enter another user space)")
-    missing = sorted({package for program, package in programs.items() if not shutil.which(program)})
+    missing = sorted(
+        {package for program, package in programs.items() if not shutil.which(program)}
+    )
     if missing:
         raise CannotRunError(f"missing Debian packages: {' '.join(missing)}")
 
@@ -89,7 +95,9 @@ def emulator() -> None:
     if not (BINFMT / "register").exists():
         _run("mount", "-t", "binfmt_misc", "binfmt_misc", str(BINFMT))
     if not (BINFMT / "qemu-aarch64").exists():
-        (BINFMT / "register").write_bytes(Path("/usr/lib/binfmt.d/qemu-aarch64.conf").read_bytes().strip())
+        (BINFMT / "register").write_bytes(
+            Path("/usr/lib/binfmt.d/qemu-aarch64.conf").read_bytes().strip()
+        )
 
 
 def user_space(python: str) -> Path:
@@ -100,13 +108,20 @@ def user_space(python: str) -> Path:
     CACHE.mkdir(exist_ok=True)
     root = CACHE / f"arm64-{python}.part"
     shutil.rmtree(root, ignore_errors=True)
-    print(f"arm64: unpacking Debian {SUITES[python]} and the wheels of the lock (900 MB, once)", file=sys.stderr)
+    print(
+        f"arm64: unpacking Debian {SUITES[python]} and the wheels of the lock (900 MB, once)",
+        file=sys.stderr,
+    )
     words = ("--arch=arm64", "--foreign", "--variant=minbase", f"--include={PACKAGES}")
     _run("debootstrap", *words, SUITES[python], str(root))
     for package in sorted((root / "var/cache/apt/archives").glob("*.deb")):
-        _run("dpkg-deb", "-x", str(package), str(root))  # unpacked, not configured: no program of it has run
+        _run(
+            "dpkg-deb", "-x", str(package), str(root)
+        )  # unpacked, not configured: no program of it has run
         package.unlink()
-    (root / "etc/passwd").write_text("root:x:0:0:root:/root:/bin/bash\nnobody:x:65534:65534::/:/bin/false\n")
+    (root / "etc/passwd").write_text(
+        "root:x:0:0:root:/root:/bin/bash\nnobody:x:65534:65534::/:/bin/false\n"
+    )
     (root / "etc/group").write_text("root:x:0:\ndialout:x:20:\nvideo:x:44:\nnogroup:x:65534:\n")
     (root / "etc/hosts").write_text("127.0.0.1 localhost\n")
     for name in ("src", "opt"):
@@ -123,9 +138,26 @@ def user_space(python: str) -> Path:
 
 def install(python: str, root: Path) -> None:
     """The lock's wheels, as systemd/environment.sh does, into ``/opt/lock``; what tests need into ``/opt/dev``."""
-    board = ("--python-platform", "aarch64-manylinux_2_28", "--python-version", python, "--only-binary", ":all:")
+    board = (
+        "--python-platform",
+        "aarch64-manylinux_2_28",
+        "--python-version",
+        python,
+        "--only-binary",
+        ":all:",
+    )
     lock = str(TREE / "systemd/requirements.lock")
-    _run(*UV, "install", *board, "--target", str(root / "opt/lock"), "--require-hashes", "--no-deps", "-r", lock)
+    _run(
+        *UV,
+        "install",
+        *board,
+        "--target",
+        str(root / "opt/lock"),
+        "--require-hashes",
+        "--no-deps",
+        "-r",
+        lock,
+    )
     dev = ("--target", str(root / "opt/dev"))
     _run(*UV, "install", *board, *dev, "-r", str(TREE / "pyproject.toml"), "--extra", "dev")
     # What the package says of itself; its code is this tree's.
@@ -139,7 +171,18 @@ def enter(python: str, command: list[str]) -> None:
     emulator()
     root = user_space(python)
     environment = ENVIRONMENT | {"PYTHONPATH": "/src/tests:/src:/opt/lock:/opt/dev"}
-    words = ("unshare", "--mount", "--propagation", "private", "bash", "-c", ENTER, "arm64", str(root), str(TREE))
+    words = (
+        "unshare",
+        "--mount",
+        "--propagation",
+        "private",
+        "bash",
+        "-c",
+        ENTER,
+        "arm64",
+        str(root),
+        str(TREE),
+    )
     os.execvpe(words[0], (*words, shlex.join(command)), environment)
 
 
@@ -153,10 +196,24 @@ def counted(script: list[str]) -> int:
     (root / "proc/cpuinfo").write_text(CPUINFO)
     paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
     # Without a fixed seed Python's start varies by a million instructions between runs.
-    ours = {"PYTHONPATH": ":".join(map(str, paths)), "PATH": os.environ["PATH"], "PYTHONHASHSEED": "0"}
+    ours = {
+        "PYTHONPATH": ":".join(map(str, paths)),
+        "PATH": os.environ["PATH"],
+        "PYTHONHASHSEED": "0",
+    }
     environment = os.environ | ENVIRONMENT | ours
-    words = ("qemu-aarch64", "-plugin", str(plugin), "-L", str(root), str(root / "usr/bin/python3.11"), "-B")
-    done = subprocess.run((*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False)
+    words = (
+        "qemu-aarch64",
+        "-plugin",
+        str(plugin),
+        "-L",
+        str(root),
+        str(root / "usr/bin/python3.11"),
+        "-B",
+    )
+    done = subprocess.run(
+        (*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False
+    )
     found = re.search(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)
     print(done.stderr, end="", file=sys.stderr)
     if found:
@@ -177,7 +234,9 @@ def instructions_each(script: list[str], runs: int) -> float:
 
 
 def _run(*command: str) -> None:
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
     if done.returncode:
         last = (done.stdout.strip().splitlines() or ["no message"])[-1]
         raise CannotRunError(f"{shlex.join(command[:4])} ...: {last}")
@@ -185,7 +244,9 @@ def _run(*command: str) -> None:
 
 def main() -> int:
     """Parse the command line and run."""
-    parser = argparse.ArgumentParser(prog="arm64.py", description="Run COMMAND in an emulated arm64 user space.")
+    parser = argparse.ArgumentParser(
+        prog="arm64.py", description="Run COMMAND in an emulated arm64 user space."
+    )
     parser.add_argument("--python", choices=list(SUITES), default="3.11")
     # With all that follows: words that begin with a dash are no COMMAND to argparse.
     parser.add_argument(
@@ -194,7 +255,9 @@ def main() -> int:
         metavar="SCRIPT",
         help="a Python script, or -m and a module, with its arguments; print its instructions",
     )
-    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
+    parser.add_argument(
+        "command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments"
+    )
     args = parser.parse_args()
     if not (args.count or args.command):
         parser.error("COMMAND is missing")

@@ -76,15 +76,21 @@ def play(frames: list[bytes], rate: float) -> None:
 def _ctl(device: str, *arguments: str) -> str:
     done = subprocess.run(["v4l2-ctl", "-d", device, *arguments], capture_output=True, text=True)
     if done.returncode:
-        sys.exit(f"feed_video: v4l2-ctl -d {device} {' '.join(arguments)}: {done.stdout.strip()}{done.stderr.strip()}")
+        sys.exit(
+            f"feed_video: v4l2-ctl -d {device} {' '.join(arguments)}: {done.stdout.strip()}{done.stderr.strip()}"
+        )
     return done.stdout
 
 
 def main() -> None:
     """Parse the command line and play."""
-    parser = argparse.ArgumentParser(prog="feed_video.py", description="Play grey images as /dev/video0.")
+    parser = argparse.ArgumentParser(
+        prog="feed_video.py", description="Play grey images as /dev/video0."
+    )
     parser.add_argument("frames", type=Path, metavar="FRAMES", help=".npy stack, 640x480")
-    parser.add_argument("--rate", type=float, default=FPS, metavar="FPS", help=f"images a second ({FPS})")
+    parser.add_argument(
+        "--rate", type=float, default=FPS, metavar="FPS", help=f"images a second ({FPS})"
+    )
     args = parser.parse_args()
     frames = load(args.frames)
     set_up()

@@ -61,9 +61,13 @@ def check() -> None:
     if platform.machine() != "x86_64":
         raise CannotRunError(f"the guest needs an x86-64 machine, this one is {platform.machine()}")
     os.environ["PATH"] += ":/usr/sbin:/sbin"  # for kmod's programs, if the user is not root
-    missing = sorted({package for program, package in PROGRAMS.items() if not shutil.which(program)})
+    missing = sorted(
+        {package for program, package in PROGRAMS.items() if not shutil.which(program)}
+    )
     if missing:
-        raise CannotRunError(f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs them)")
+        raise CannotRunError(
+            f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs them)"
+        )
 
 
 def kernel() -> tuple[Path, str]:
@@ -74,7 +78,9 @@ def kernel() -> tuple[Path, str]:
     depends = _output("apt-cache", "depends", "linux-image-amd64")
     found = re.search(r"Depends: linux-image-(\S+)", depends)
     if not found:
-        raise CannotRunError("apt knows no linux-image-amd64 (the guest boots Debian's kernel; try apt-get update)")
+        raise CannotRunError(
+            "apt knows no linux-image-amd64 (the guest boots Debian's kernel; try apt-get update)"
+        )
     version = found[1]
     CACHE.mkdir(exist_ok=True)
     print(f"guest: downloading Debian's kernel {version} (70 MB, once)", file=sys.stderr)
@@ -103,7 +109,9 @@ def initramfs(out: Path, root: Path, version: str) -> None:
             content = module.read_bytes()
             if module.suffix == ".xz":
                 content = lzma.decompress(content)
-            (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(content)
+            (top / "modules" / f"{number:02}-{module.name.removesuffix('.xz')}").write_bytes(
+                content
+            )
         shutil.copy(HERE / "systemd_root.sh", top)
         text = (HERE / "init.sh").read_text()
         (top / "init").write_text(text.replace("@MODULES@", f"{root}/lib/modules/{version}"))
@@ -111,7 +119,11 @@ def initramfs(out: Path, root: Path, version: str) -> None:
         names = "\n".join(str(path.relative_to(top)) for path in sorted(top.rglob("*")))
         with (out / ".initrd").open("wb") as archive:
             subprocess.run(
-                ["cpio", "-o", "-H", "newc", "--quiet"], cwd=top, input=names.encode(), stdout=archive, check=True
+                ["cpio", "-o", "-H", "newc", "--quiet"],
+                cwd=top,
+                input=names.encode(),
+                stdout=archive,
+                check=True,
             )
 
 
@@ -119,7 +131,9 @@ def _modules(root: Path, version: str) -> list[Path]:
     """List the files of the boot modules and of their dependencies, in loading order."""
     files: dict[Path, None] = {}
     for module in BOOT_MODULES:
-        for line in _output("modprobe", "-d", str(root), "-S", version, "--show-depends", module).splitlines():
+        for line in _output(
+            "modprobe", "-d", str(root), "-S", version, "--show-depends", module
+        ).splitlines():
             if line.startswith("insmod "):
                 files[Path(line.split()[1])] = None
     return list(files)
@@ -145,8 +159,15 @@ def run(command: list[str], out: Path, silent_s: float) -> int:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 emulator.wait(1)
     if not status.exists():
-        print(f"guest: did not reach its end; the console's last lines, from {out}/.console:", file=sys.stderr)
-        print(*(out / ".console").read_text(errors="replace").splitlines()[-20:], sep="\n", file=sys.stderr)
+        print(
+            f"guest: did not reach its end; the console's last lines, from {out}/.console:",
+            file=sys.stderr,
+        )
+        print(
+            *(out / ".console").read_text(errors="replace").splitlines()[-20:],
+            sep="\n",
+            file=sys.stderr,
+        )
         return EXIT_UNFINISHED
     return int(status.read_text())
 
@@ -158,15 +179,38 @@ def _qemu(root: Path, version: str, out: Path) -> list[str]:
     return [
         *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
         *("-cpu", "max,-avx,-avx2,-fma"),  # emulating these takes ten times as long
-        *("-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot"),
+        *(
+            "-smp",
+            "2",
+            "-m",
+            "1536",
+            "-nodefaults",
+            "-no-user-config",
+            "-display",
+            "none",
+            "-no-reboot",
+        ),
         *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
-        *("-append", f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()} {systemd}"),
+        *(
+            "-append",
+            f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()} {systemd}",
+        ),
         *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
         *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
         *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
         *("-nic", "none"),
-        *("-fsdev", f"local,id=root,path=/,readonly=on,{share}", "-device", "virtio-9p-pci,fsdev=root,mount_tag=root"),
-        *("-fsdev", f"local,id=out,path={out},{share}", "-device", "virtio-9p-pci,fsdev=out,mount_tag=out"),
+        *(
+            "-fsdev",
+            f"local,id=root,path=/,readonly=on,{share}",
+            "-device",
+            "virtio-9p-pci,fsdev=root,mount_tag=root",
+        ),
+        *(
+            "-fsdev",
+            f"local,id=out,path={out},{share}",
+            "-device",
+            "virtio-9p-pci,fsdev=out,mount_tag=out",
+        ),
     ]
 
 
@@ -194,12 +238,22 @@ def _output(*command: str, cwd: str | None = None) -> str:
 
 def main() -> int:
     """Parse the command line and run the guest."""
-    parser = argparse.ArgumentParser(prog="guest.py", description="Run COMMAND under a real kernel in a guest.")
-    parser.add_argument("--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)")
-    parser.add_argument(
-        "--silent", type=float, default=120.0, metavar="SECONDS", help="give up after no sign of life for so long (120)"
+    parser = argparse.ArgumentParser(
+        prog="guest.py", description="Run COMMAND under a real kernel in a guest."
     )
-    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments")
+    parser.add_argument(
+        "--out", type=Path, help="folder that is /out in the guest (default: a new one, printed)"
+    )
+    parser.add_argument(
+        "--silent",
+        type=float,
+        default=120.0,
+        metavar="SECONDS",
+        help="give up after no sign of life for so long (120)",
+    )
+    parser.add_argument(
+        "command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments"
+    )
     args = parser.parse_args()
     try:
         check()

@@ -64,7 +64,9 @@ class Set:
 
     def loaded(self, depth_mm: float, x_mm: float, y_mm: float, noise_seed: int) -> U8:
         """An image of the skin under a ball; mm on the nominal skin."""
-        press = Press(ball(6.0 * self.scale), x_mm * self.scale, y_mm * self.scale, depth_mm * self.scale)
+        press = Press(
+            ball(6.0 * self.scale), x_mm * self.scale, y_mm * self.scale, depth_mm * self.scale
+        )
         return to_grey(self.simulated.frame((press,), noise_seed).image)
 
     def calibrate(
@@ -72,16 +74,27 @@ class Set:
     ) -> CalibrationResult:
         """Calibrate on this set, with other references or presses if given."""
         taken = self.presses if presses is None else presses
-        return calibrate(self.sensor, references or self.references, taken, networks=load_networks())
+        return calibrate(
+            self.sensor, references or self.references, taken, networks=load_networks()
+        )
 
 
 def good_set(seed: int, height_px: int) -> Set:
     """A good set of a random sensor."""
     model = random_model(seed, height_px, height_px * 4 // 3)
     simulated = SimulatedSensor(model)
-    sensor = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    sensor = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     presses = [
-        KnownPress(f"press {k}", to_grey(simulated.frame([p], 2000 + k).image), r, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}",
+            to_grey(simulated.frame([p], 2000 + k).image),
+            r,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
         for k, (p, r) in enumerate(ball_presses(model, PRESSES, seed))
     ]
     references = [to_grey(simulated.frame((), 1000 + k).image) for k in range(REFERENCES)]
@@ -101,7 +114,9 @@ def shifted(image: U8, px: float) -> U8:
     """Move an image to the right."""
     matrix = np.array([[1, 0, px], [0, 1, 0]], dtype=np.float64)
     size = (image.shape[1], image.shape[0])
-    return np.asarray(cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 def uneven(image: U8, part: float) -> U8:
@@ -117,11 +132,15 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
     grey = [check.observe(press) for press in given.presses]
     observed = [check.see(each, press) for each, press in zip(grey, given.presses, strict=True)]
     changes: dict[str, Callable[[KnownPress], KnownPress]] = {
-        f"one depth {off:+.1f} mm off": lambda p, off=off: replace(p, depth_mm=p.depth_mm + off * scale)
+        f"one depth {off:+.1f} mm off": lambda p, off=off: replace(
+            p, depth_mm=p.depth_mm + off * scale
+        )
         for off in (-1.5, 1.0, 1.5, 2.0, 2.5)
     }
     changes |= {
-        f"one ball radius times {factor}": lambda p, factor=factor: replace(p, radius_mm=p.radius_mm * factor)
+        f"one ball radius times {factor}": lambda p, factor=factor: replace(
+            p, radius_mm=p.radius_mm * factor
+        )
         for factor in (0.5, 0.67, 1.5, 2.0)
     }
     changes |= {
@@ -135,9 +154,15 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
             if wrong.depth_mm <= 0.2 * scale:
                 continue
             stated = replace(
-                grey[k], depth_mm=wrong.depth_mm, radius_mm=wrong.radius_mm, x_mm=wrong.x_mm, y_mm=wrong.y_mm
+                grey[k],
+                depth_mm=wrong.depth_mm,
+                radius_mm=wrong.radius_mm,
+                x_mm=wrong.x_mm,
+                y_mm=wrong.y_mm,
             )
-            found = outliers([*observed[:k], check.see(stated, wrong), *observed[k + 1 :]], geometry)
+            found = outliers(
+                [*observed[:k], check.see(stated, wrong), *observed[k + 1 :]], geometry
+            )
             yield label, k in found
 
 
@@ -162,9 +187,12 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
             warnings([replace(p, depth_mm=p.depth_mm * factor) for p in presses]),
         )
     touch = first_touch_mm(
-        [PressObservation("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses], given.model.geometry
+        [PressObservation("", 1, 1, 1, 0, 0, p.radius_mm, 0, p.x_mm, p.y_mm) for p in presses],
+        given.model.geometry,
     )
-    travel = [replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)]
+    travel = [
+        replace(p, depth_mm=p.depth_mm - float(t)) for p, t in zip(presses, touch, strict=True)
+    ]
     yield "depths are travel from first touch", "travel from first touch", warnings(travel)
     for off in (-0.5, 0.5, 1.0):
         made = [replace(p, depth_mm=p.depth_mm + off * scale) for p in presses]
@@ -173,12 +201,28 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
             if off < 0
             else ("great", "mm less: check where depth is zero")
         )
-        yield f"all depths {abs(off)} mm too {size}", wanted, warnings([p for p in made if p.depth_mm > 0])
-    yield "x and y swapped", "swapped", warnings([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses])
-    yield "y with the other sign", "opposite sign", warnings([replace(p, y_mm=-(p.y_mm or 0)) for p in presses])
+        yield (
+            f"all depths {abs(off)} mm too {size}",
+            wanted,
+            warnings([p for p in made if p.depth_mm > 0]),
+        )
+    yield (
+        "x and y swapped",
+        "swapped",
+        warnings([replace(p, x_mm=p.y_mm, y_mm=p.x_mm) for p in presses]),
+    )
+    yield (
+        "y with the other sign",
+        "opposite sign",
+        warnings([replace(p, y_mm=-(p.y_mm or 0)) for p in presses]),
+    )
     near = sorted(presses, key=lambda p: (p.x_mm or 0) ** 2 + (p.y_mm or 0) ** 2)[:8]
     yield "8 presses in the middle", "close together", warnings(near)
-    yield "half the disc", "no press lies|close together", warnings([p for p in presses if (p.x_mm or 0) > -1])
+    yield (
+        "half the disc",
+        "no press lies|close together",
+        warnings([p for p in presses if (p.x_mm or 0) > -1]),
+    )
     alike = sorted(presses, key=lambda p: p.depth_mm)[-10:]
     yield "10 presses of like depth", "mm deep: add some", warnings(alike)
     alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
@@ -235,7 +279,11 @@ def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, s
     yield "rezero: 2 px away", "taken", said([shifted(image, 2) for image in free])
     yield "rezero: 6 px away", "refused", said([shifted(image, 6) for image in free])
     yield "rezero: light x 0.4", "refused", said([camera_faults.gain(image, 0.4) for image in free])
-    yield "rezero: blurred by 3 px", "refused", said([bad_pictures.defocus(image, 3) for image in free])
+    yield (
+        "rezero: blurred by 3 px",
+        "refused",
+        said([bad_pictures.defocus(image, 3) for image in free]),
+    )
     for depth in (1.0, 2.0, 3.0):
         yield f"rezero: under {depth} mm", "refused", said([given.loaded(depth, 3, 2, 5)] * 3)
 
@@ -265,30 +313,45 @@ def measure(task: tuple[int, bool, int]) -> Measured:
     for sigma in (0.0, 0.3, 0.6):
         label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
         jitter = sigma * given.scale * rng.standard_normal(PRESSES)
-        presses = [replace(p, depth_mm=max(p.depth_mm + e, 0.2)) for p, e in zip(given.presses, jitter, strict=True)]
+        presses = [
+            replace(p, depth_mm=max(p.depth_mm + e, 0.2))
+            for p, e in zip(given.presses, jitter, strict=True)
+        ]
         try:
             made = given.calibrate(presses=presses)
         except ConfigError:
             quality.append((label, np.nan, np.nan, "refused"))
             continue
         fit = made.calibration.fit
-        depth_mm = fit.profiles[GRADED_PROFILE].depth_mae_mm if fit and GRADED_PROFILE in fit.profiles else np.nan
+        depth_mm = (
+            fit.profiles[GRADED_PROFILE].depth_mae_mm
+            if fit and GRADED_PROFILE in fit.profiles
+            else np.nan
+        )
         agreement_mm = fit.agreement_mae_mm if fit else np.nan
-        quality.append((label, depth_mm / given.scale, agreement_mm / given.scale, made.quality.grade))
+        quality.append(
+            (label, depth_mm / given.scale, agreement_mm / given.scale, made.quality.grade)
+        )
     found = list(wrong_presses(given)) if detect else []
     found += [
         (label, any(part in said for part in wanted.split("|")))
-        for label, wanted, said in ((*wrong_sets(given, rng), *rezeros(given, result)) if detect else ())
+        for label, wanted, said in (
+            (*wrong_sets(given, rng), *rezeros(given, result)) if detect else ()
+        )
     ]
     alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
-    return Measured(alarms, found, quality, [camera.drift(look, press.image) for press in given.presses])
+    return Measured(
+        alarms, found, quality, [camera.drift(look, press.image) for press in given.presses]
+    )
 
 
 def report(measured: Sequence[Measured]) -> str:
     """The document's tables, in Markdown."""
     good = sum(bool(m.quality) for m in measured)
     alarms = [alarm for m in measured for alarm in m.alarms]
-    lines = [f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} presses): {len(alarms)}"]
+    lines = [
+        f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} presses): {len(alarms)}"
+    ]
     lines += [f"- {alarm}" for alarm in alarms] + ["", "| what was wrong | said |", "|---|---|"]
     found: dict[str, list[bool]] = {}
     for label, hit in (pair for m in measured for pair in m.found):
@@ -306,7 +369,9 @@ def report(measured: Sequence[Measured]) -> str:
         for column in (1, 2):
             quantiles = np.nanquantile([row[column] for row in rows], [0.5, 0.9, 1.0])
             cells.append(", ".join(f"{v:.2f}" for v in quantiles))
-        grades = [sum(row[3] == grade for row in rows) for grade in ("good", "fair", "poor", "refused")]
+        grades = [
+            sum(row[3] == grade for row in rows) for grade in ("good", "fair", "poor", "refused")
+        ]
         cells.append(", ".join(map(str, grades)))
         lines.append(f"| {' | '.join(cells)} |")
     all_drifts = [d for m in measured for d in m.drifts]
@@ -325,7 +390,9 @@ def main() -> None:
     """Measure and print the tables."""
     parser = argparse.ArgumentParser(description="What `calibrate` detects, and its false alarms.")
     parser.add_argument("--sensors", type=int, default=30)
-    parser.add_argument("--detect", type=int, default=30, help="so many of them are also made wrong (30)")
+    parser.add_argument(
+        "--detect", type=int, default=30, help="so many of them are also made wrong (30)"
+    )
     parser.add_argument("--first", type=int, default=8100, help="seed of the first sensor")
     parser.add_argument("--height", type=int, default=480, help="of the images, px")
     args = parser.parse_args()

@@ -38,7 +38,11 @@ class _Fitted(argparse.Action):
     """Takes the sensors whose fitted calibrations a folder contains."""
 
     def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
     ) -> None:
         namespace.fitted = {
             SensorName.parse(path.stem.removesuffix(ALONE).replace("_", ":")): path
@@ -49,19 +53,30 @@ class _Fitted(argparse.Action):
             parser.error(f"--fitted: found no *{ALONE}.npz in {values}")
 
 
-def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS) -> argparse.ArgumentParser:
+def options(
+    what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSORS
+) -> argparse.ArgumentParser:
     """A parser for profiles, sensors, and an output folder, with default and final sensors."""
     parser = argparse.ArgumentParser(description=what)
-    parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=list(NETWORKS), metavar="NAME")
+    parser.add_argument(
+        "--profile", nargs="+", choices=list(PROFILES), default=list(NETWORKS), metavar="NAME"
+    )
     which = parser.add_mutually_exclusive_group()
     named = f"[FAMILY:]SEED below {FINAL_SEED} or default ({sensors})"
     which.add_argument(
-        "--sensors", type=working_sensors, default=working_sensors(sensors), metavar="SEED,...", help=named
+        "--sensors",
+        type=working_sensors,
+        default=working_sensors(sensors),
+        metavar="SEED,...",
+        help=named,
     )
     kept = "the sensors kept for the figures of a release: not to be looked at while working"
     which.add_argument("--final", dest="sensors", action="store_const", const=final, help=kept)
     which.add_argument(
-        "--fitted", action=_Fitted, metavar="FOLDER", help="those that tools.studies.fit fitted to references"
+        "--fitted",
+        action=_Fitted,
+        metavar="FOLDER",
+        help="those that tools.studies.fit fitted to references",
     )
     add_output(parser)
     return parser
@@ -69,7 +84,9 @@ def options(what: str, sensors: str, final: tuple[SensorName, ...] = FINAL_SENSO
 
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add the options that `run` and `publish` need."""
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots"
+    )
     parser.set_defaults(json=False)
 
 
@@ -105,7 +122,10 @@ def calibrations(
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
     if fitted is None:
-        return [made.calibration for made in calibrate_sensors(sensors, references, presses, pool, report)]
+        return [
+            made.calibration
+            for made in calibrate_sensors(sensors, references, presses, pool, report)
+        ]
     return [calibration_file.load(fitted[name]) for name in sensors]
 
 
@@ -125,8 +145,12 @@ def over_sensors(
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
     found = calibrations(fitted, sensors, references, presses, pool, report)
-    tasks = [(name, made, part) for part in parts for name, made in zip(sensors, found, strict=True)]
-    return [row for rows in reported_map(job, tasks, pool, report, "parts of the study") for row in rows]
+    tasks = [
+        (name, made, part) for part in parts for name, made in zip(sensors, found, strict=True)
+    ]
+    return [
+        row for rows in reported_map(job, tasks, pool, report, "parts of the study") for row in rows
+    ]
 
 
 def run(
@@ -140,7 +164,10 @@ def run(
     """Work; print the table, and write it and its rows; `kinds` are those of rows by the end of their file's name."""
     with folder_for(parser, args.out), workers() as pool:
         rows = work(pool, Progress())
-        files = {end: csv_text(kind, [row for row in rows if isinstance(row, kind)]) for end, kind in kinds.items()}
+        files = {
+            end: csv_text(kind, [row for row in rows if isinstance(row, kind)])
+            for end, kind in kinds.items()
+        }
         study.publish(args, stem, text(rows), files)
 
 
@@ -149,9 +176,16 @@ PLACE_NOISE_MM, DEPTH_NOISE_MM = 0.05, 0.03
 
 
 def stated_press(
-    rng: np.random.Generator, name: str, image: U8, press: Press, radius_mm: float, known: Indenter | None
+    rng: np.random.Generator,
+    name: str,
+    image: U8,
+    press: Press,
+    radius_mm: float,
+    known: Indenter | None,
 ) -> KnownPress:
     """State a press of a ball of `radius_mm`, or of another indenter that is `known`."""
     x_mm, y_mm = (at + rng.normal(0, PLACE_NOISE_MM) for at in (press.x_mm, press.y_mm))
     depth_mm = press.depth_mm + rng.normal(0, DEPTH_NOISE_MM)
-    return KnownPress(name, image, radius_mm, depth_mm, x_mm, y_mm, known, press.rotation_deg if known else 0.0)
+    return KnownPress(
+        name, image, radius_mm, depth_mm, x_mm, y_mm, known, press.rotation_deg if known else 0.0
+    )

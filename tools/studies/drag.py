@@ -53,11 +53,21 @@ class Condition:
 
     def __str__(self) -> str:
         """For a table."""
-        turned = (f"{name} {deg:g}°" for name, deg in (("twist", self.twist_deg), ("tilt", self.tilt_deg)) if deg)
+        turned = (
+            f"{name} {deg:g}°"
+            for name, deg in (("twist", self.twist_deg), ("tilt", self.tilt_deg))
+            if deg
+        )
         return ", ".join((f"{self.drag_mm:g} mm", *turned))
 
 
-CONDITIONS = (Condition(), Condition(1.0), Condition(2.0), Condition(3.0), Condition(3.0, 10.0, 15.0))
+CONDITIONS = (
+    Condition(),
+    Condition(1.0),
+    Condition(2.0),
+    Condition(3.0),
+    Condition(3.0, 10.0, 15.0),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +87,24 @@ class DragRow(Row):
     found_twist_deg: float
 
 
-def presses(model: SensorModel, seed: int | None, object_name: str) -> Iterator[tuple[Condition, float, Press]]:
+def presses(
+    model: SensorModel, seed: int | None, object_name: str
+) -> Iterator[tuple[Condition, float, Press]]:
     """Every condition, direction in degrees and depth of an object; the same places and tilts for every condition."""
     scale, shape = model.skin_radius_mm / 20, OBJECTS[object_name]()
     for condition in CONDITIONS:
-        rng = np.random.default_rng((0 if seed is None else seed + 1, 31, list(OBJECTS).index(object_name)))
+        rng = np.random.default_rng(
+            (0 if seed is None else seed + 1, 31, list(OBJECTS).index(object_name))
+        )
         for k in range(DIRECTIONS):
             farthest = (FARTHEST * model.skin_radius_mm, 2 * math.pi, 360, 2 * math.pi)
             rho, angle, turn, lean = rng.uniform((0, 0, 0, 0), farthest)
             direction = 360 * (k + rng.uniform()) / DIRECTIONS
-            along, drag_mm, tilt = math.radians(direction), condition.drag_mm * scale, condition.tilt_deg
+            along, drag_mm, tilt = (
+                math.radians(direction),
+                condition.drag_mm * scale,
+                condition.tilt_deg,
+            )
             for depth_mm in DEPTHS_MM:
                 press = Press(
                     shape, rho * math.cos(angle), rho * math.sin(angle), depth_mm * scale, turn, scale,
@@ -102,18 +120,27 @@ def rows(profiles: Sequence[str], task: tuple[SensorName, Calibration, str]) -> 
     sensor = name.make()
     made = [reconstructor(calibration, profile) for profile in profiles]
     found = []
-    for k, (condition, direction, press) in enumerate(presses(sensor.model, name.seed, object_name)):
+    for k, (condition, direction, press) in enumerate(
+        presses(sensor.model, name.seed, object_name)
+    ):
         frame = sensor.frame((press,), NOISE + k)
         truth = frame.truth()
         if not len(truth.points_mm):
             continue
         known, moved = KnownTruth.of(truth), _true_motion(frame, truth)
-        label = Label(str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
+        label = Label(
+            str(name), object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg
+        )
         drag_mm = math.hypot(press.drag_x_mm, press.drag_y_mm)
         done = (str(condition), drag_mm, direction, press.twist_deg, condition.tilt_deg)
         for each in made:
             result = each.step(Frame(0, 0, 0, frame.image))
-            values: tuple[Any, ...] = (*astuple(score(label, known, result)), *done, *moved, *_found_motion(result))
+            values: tuple[Any, ...] = (
+                *astuple(score(label, known, result)),
+                *done,
+                *moved,
+                *_found_motion(result),
+            )
             found.append(DragRow(*values))
     return found
 
@@ -124,19 +151,26 @@ def _true_motion(frame: SimulatedFrame, truth: Truth) -> tuple[float, float, flo
     some = slice(None, None, -(-len(rows) // _TRUE_POINTS))
     shear = frame.shear_mm(rows[some].astype(float), cols[some].astype(float)).T
     count = shear.shape[1]
-    (mean,), (spread,) = spreads(np.concatenate((truth.points_mm[some].T, shear), dtype=np.float64), [count])
+    (mean,), (spread,) = spreads(
+        np.concatenate((truth.points_mm[some].T, shear), dtype=np.float64), [count]
+    )
     twist_deg, _ = rigid_motion(spread, count)
     return (mean[3], mean[4], math.nan if twist_deg is None else twist_deg)
 
 
 def _found_motion(result: Reconstruction) -> tuple[float, float, float]:
     twist = result.objects[0].twist_deg if result.objects else None
-    return (*(result.shear_of_contact_mm or (math.nan, math.nan)), math.nan if twist is None else twist)
+    return (
+        *(result.shear_of_contact_mm or (math.nan, math.nan)),
+        math.nan if twist is None else twist,
+    )
 
 
 def me_mm(some: Sequence[DragRow]) -> float:
     """Mean ME; a missed contact counts as its true depth."""
-    return float(np.mean([row.true_depth_mm if math.isnan(row.me_mm) else row.me_mm for row in some]))
+    return float(
+        np.mean([row.true_depth_mm if math.isnan(row.me_mm) else row.me_mm for row in some])
+    )
 
 
 def silently_wrong(row: DragRow) -> bool:
@@ -147,7 +181,12 @@ def silently_wrong(row: DragRow) -> bool:
 
 def _shears(some: Sequence[DragRow]) -> tuple[F64, F64]:
     """True and found shear (n, 2) where one is found."""
-    both = np.array([(r.true_shear_x_mm, r.true_shear_y_mm, r.found_shear_x_mm, r.found_shear_y_mm) for r in some])
+    both = np.array(
+        [
+            (r.true_shear_x_mm, r.true_shear_y_mm, r.found_shear_x_mm, r.found_shear_y_mm)
+            for r in some
+        ]
+    )
     both = both[np.isfinite(both[:, 2:]).all(axis=1)]
     return both[:, :2], both[:, 2:]
 
@@ -160,13 +199,17 @@ def shear_off_mm(some: Sequence[DragRow], part: float) -> float:
 
 def _within(some: Sequence[DragRow]) -> str:
     true, found = _shears(some)
-    near: Bool = np.linalg.norm(found - true, axis=1) <= np.maximum(0.35, 0.1 * np.linalg.norm(true, axis=1))
+    near: Bool = np.linalg.norm(found - true, axis=1) <= np.maximum(
+        0.35, 0.1 * np.linalg.norm(true, axis=1)
+    )
     return f"{100 * near.mean() if len(near) else math.nan:.0f}"
 
 
 def _direction_off(some: Sequence[DragRow]) -> str:
     true, found = (one.T for one in _shears(some))
-    turned = np.arctan2(true[0] * found[1] - true[1] * found[0], true[0] * found[0] + true[1] * found[1])
+    turned = np.arctan2(
+        true[0] * found[1] - true[1] * found[0], true[0] * found[0] + true[1] * found[1]
+    )
     return f"{_quantile(np.degrees(np.abs(turned[np.hypot(*true) > TELLING_MM])), 0.95):.0f}"
 
 
@@ -214,7 +257,13 @@ def main(words: Sequence[str] | None = None) -> None:
     command.add_calibration(parser)
     args = parser.parse_args(words)
     command.check_presses(parser, args.presses)
-    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects, fitted=args.fitted)
+    work = partial(
+        command.over_sensors,
+        partial(rows, args.profile),
+        args.sensors,
+        args.objects,
+        fitted=args.fitted,
+    )
     work = partial(work, references=args.references, presses=args.presses)
     command.run(parser, args, "drag", work, text, {"": DragRow})
 

@@ -16,7 +16,9 @@ from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS
 
 def main(words: Sequence[str] | None = None) -> int:
     """Evaluate; return 1 on a user's mistake."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.set_defaults(parser=parser)
     evaluate.add_arguments(parser)
     kept = f"sensors from seed {FINAL_SEED} on: not to be looked at while working"

@@ -104,7 +104,16 @@ DRAG_MM, DRAGGED_MM = 2.0, 3.0
 ROUNDS, STARTS = 40, 5
 """Numbers of frames and starts behind a reported median."""
 JUDGED = ("pressed", "dragged", "beyond")
-FIGURES = ("pressed", "dragged", f"{BEYOND_MM:g} mm deep", "worst object", "SD %", "IoU", "in 90 %", "in 90 % dragged")
+FIGURES = (
+    "pressed",
+    "dragged",
+    f"{BEYOND_MM:g} mm deep",
+    "worst object",
+    "SD %",
+    "IoU",
+    "in 90 %",
+    "in 90 % dragged",
+)
 """Of each sensor: ME in mm by what was done and of the worst object, then of those not dragged, and held shares."""
 CYLINDER_MM = 5.0
 """Radius of the simulator's cylinder."""
@@ -116,7 +125,9 @@ def lying(radius_mm: float, length_mm: float) -> Shape:
     def sdf(p: F64) -> F64:
         along = np.abs(p[:, 0]) - length_mm / 2
         across = np.hypot(p[:, 1], p[:, 2] - radius_mm) - radius_mm
-        return np.minimum(np.maximum(along, across), 0) + np.hypot(np.maximum(along, 0), np.maximum(across, 0))
+        return np.minimum(np.maximum(along, across), 0) + np.hypot(
+            np.maximum(along, 0), np.maximum(across, 0)
+        )
 
     return Shape("bar", sdf)
 
@@ -146,7 +157,11 @@ def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
     made = []
     for k in range(PRESSES):
         shape, enlarged, radius_mm, known = kinds[k % len(kinds)]
-        rho, angle, yaw = reach_mm * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(0, 180)
+        rho, angle, yaw = (
+            reach_mm * np.sqrt(rng.random()),
+            rng.uniform(0, 2 * np.pi),
+            rng.uniform(0, 180),
+        )
         x, y, depth = rho * np.cos(angle), rho * np.sin(angle), rng.uniform(*PRESSED_MM)
         press = Press(shape, x, y, depth, yaw, enlarged)
         image = sensor.frame((press,), PRESS_NOISE + k).image
@@ -157,7 +172,9 @@ def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
 def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationResult:
     """A user's calibration without a fit."""
     model = sensor.model
-    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    stated = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]
     return calibrate(stated, references, presses, networks=load_networks())
 
@@ -186,13 +203,21 @@ def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Sc
         made += [("beyond", scene) for scene in scenes(sensor.model, seed, thing, (BEYOND_MM,))]
         for k, scene in enumerate(scenes(sensor.model, seed, thing, (DRAGGED_MM,))):
             x, y = DRAG_MM * math.cos(2.4 * k), DRAG_MM * math.sin(2.4 * k)
-            made.append(("dragged", replace(scene, press=replace(scene.press, drag_x_mm=x, drag_y_mm=y))))
+            made.append(
+                ("dragged", replace(scene, press=replace(scene.press, drag_x_mm=x, drag_y_mm=y)))
+            )
     return made
 
 
-def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> list[Judged]:
+def judge(
+    name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Calibration]
+) -> list[Judged]:
     """Judge every scene with every profile and calibration."""
-    made = [(what, p, make_reconstructor(c, PROFILES[p])) for what, c in calibrations.items() for p in LADDER]
+    made = [
+        (what, p, make_reconstructor(c, PROFILES[p]))
+        for what, c in calibrations.items()
+        for p in LADDER
+    ]
     rows = []
     for judged, scene in judged_scenes(sensor, name.seed):
         frame = sensor.frame((scene.press,), scene.noise_seed)
@@ -202,14 +227,19 @@ def judge(name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Ca
             scored = score(Label(str(name), scene.object_name), KnownTruth.of(truth), found)
             depth, contact, held_pct = scene.press.depth_mm, found.height.contact, math.nan
             if found.contact and found.sigma_mm is not None:
-                off_mm = np.abs(found.height.height_mm[contact] - true_height_mm(frame, reconstructor.grid, contact))
+                off_mm = np.abs(
+                    found.height.height_mm[contact]
+                    - true_height_mm(frame, reconstructor.grid, contact)
+                )
                 held_pct = 100 * float(np.mean(off_mm <= INTERVAL_90 * found.sigma_mm[contact]))
             scores = (scored.me_mm, scored.sd_pct, scored.iou, held_pct)
             rows.append(Judged(profile, what, scene.object_name, judged, depth, *scores))
     return rows
 
 
-def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict[str, dict[str, float]]:
+def cost(
+    sensor: PressedSensor, calibrations: Mapping[str, Calibration]
+) -> dict[str, dict[str, float]]:
     """File size, start-up (file, weights, first frame) and time per frame of the default profile, measured in turns."""
     press = Press(OBJECTS["ball"](), depth_mm=3.0)
     frame = Frame(0, 0, 0, sensor.frame((press,), 1).image)
@@ -244,7 +274,9 @@ def cost(sensor: PressedSensor, calibrations: Mapping[str, Calibration]) -> dict
 
 def drawing(model: SensorModel) -> dict[str, float]:
     """The sizes of the sensor's print, as SENSOR.yaml states them."""
-    sizes = {key.replace("_pitches", "_mm"): getattr(model, key) * model.pitch_mm for key in PARAMETERS}
+    sizes = {
+        key.replace("_pitches", "_mm"): getattr(model, key) * model.pitch_mm for key in PARAMETERS
+    }
     return {"pitch_mm": model.pitch_mm, **sizes}
 
 
@@ -265,11 +297,14 @@ def measured(case: str, keep: Path | None) -> dict[str, object]:
     sensor = name.make()
     model = sensor.model
     result = calibrated(
-        sensor, [] if way.presses == "none" else pressed(sensor, name.seed or 0, way.presses == "balls")
+        sensor,
+        [] if way.presses == "none" else pressed(sensor, name.seed or 0, way.presses == "balls"),
     )
     stated, mechanics = {}, None
     if way.pin_length:
-        stated = drawing(replace(model, pin_length_pitches=way.pin_length * model.pin_length_pitches))
+        stated = drawing(
+            replace(model, pin_length_pitches=way.pin_length * model.pin_length_pitches)
+        )
     if way.decay:
         decay_mm = way.decay * model.skin_decay_mm
         mechanics = Mechanics((decay_mm, decay_mm), (model.friction, model.friction), seen=True)
@@ -301,7 +336,9 @@ def program() -> str:
     package = Path(tacshade_edge.__file__).parent
     for room in ("core", "fitting", "simulator", "inference"):
         for path in sorted((package / room).rglob("*")):
-            if path.is_file() and path.parent.name != "__pycache__":  # which also holds numba's code
+            if (
+                path.is_file() and path.parent.name != "__pycache__"
+            ):  # which also holds numba's code
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -338,7 +375,10 @@ def of_sensor(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[l
             own = [row for row in rows if (row.profile, row.what) == (profile, what)]
             pressed, moved, deep = ([r for r in own if r.judged == judged] for judged in JUDGED)
             of_each = of_objects(pressed, "me_mm")
-            me_mm = [np.mean(each) for each in (of_each, of_objects(moved, "me_mm"), of_objects(deep, "me_mm"))]
+            me_mm = [
+                np.mean(each)
+                for each in (of_each, of_objects(moved, "me_mm"), of_objects(deep, "me_mm"))
+            ]
             held = [np.nanmean([row.held_pct for row in some]) for some in (pressed, moved)]
             sd, iou = (np.mean(of_objects(pressed, value)) for value in ("sd_pct", "iou"))
             of_both.append(
@@ -350,7 +390,9 @@ def of_sensor(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[l
                 ]
             )
         stays = "yes" if kept[profile] else "no"
-        lines.append([case, profile, stays, *(cell for pair in zip(*of_both, strict=True) for cell in pair)])
+        lines.append(
+            [case, profile, stays, *(cell for pair in zip(*of_both, strict=True) for cell in pair)]
+        )
     return lines
 
 
@@ -363,7 +405,14 @@ def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list
             for judged, of_judged in ratios.items():
                 before, after = (
                     np.mean(
-                        of_objects([r for r in rows if (r.profile, r.judged, r.what) == (profile, judged, w)], "me_mm")
+                        of_objects(
+                            [
+                                r
+                                for r in rows
+                                if (r.profile, r.judged, r.what) == (profile, judged, w)
+                            ],
+                            "me_mm",
+                        )
                     )
                     for w in ("shipped", "fitted")
                 )
@@ -374,14 +423,22 @@ def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list
             for each in (ratios["pressed"], ratios["dragged"], half, ratios["beyond"])
             for cell in (f"{np.mean(each):.2f}", f"{max(each):.2f}")
         ]
-        lines.append([profile, f"{sum(kept[profile] for kept, _ in of_cases)} of {len(of_cases)}", *cells])
+        lines.append(
+            [profile, f"{sum(kept[profile] for kept, _ in of_cases)} of {len(of_cases)}", *cells]
+        )
     return lines
 
 
 def main() -> None:
     """Fit and judge every case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", default=CASES, help="sensors, with /balls for balls alone or /none for no presses")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--cases",
+        default=CASES,
+        help="sensors, with /balls for balls alone or /none for no presses",
+    )
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     args = parser.parse_args()
     sensors, costs, of_cases, prints = [], [], [], []
@@ -404,7 +461,9 @@ def main() -> None:
     def pairs(*names: str) -> list[str]:
         return [f"{name} {what}" for name in names for what in ("shipped", "fitted")]
 
-    print("ME after the fit over ME before, of objects that were not pressed; a fit that is not kept counts as 1.00\n")
+    print(
+        "ME after the fit over ME before, of objects that were not pressed; a fit that is not kept counts as 1.00\n"
+    )
     of_each = [
         f"{judged} {what}"
         for judged in ("pressed", "dragged", "half of each", "6 mm deep")
@@ -416,7 +475,9 @@ def main() -> None:
     print("\nThe print that the reference shows, off by %\n")
     print(markdown(["sensor", *sizes], prints))
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
-    print(markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs))
+    print(
+        markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs)
+    )
 
 
 if __name__ == "__main__":

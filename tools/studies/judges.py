@@ -95,7 +95,9 @@ def _specks(image: U8, sensor: PressedSensor, rng: Rng) -> U8:
     for _ in range(count):
         rho, angle = model.disc_radius_px * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
         row, col = model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle)
-        image = camera_faults.speck(image, row, col, float(rng.uniform(0.05, 0.35)) * model.disc_radius_px)
+        image = camera_faults.speck(
+            image, row, col, float(rng.uniform(0.05, 0.35)) * model.disc_radius_px
+        )
     return image
 
 
@@ -109,7 +111,9 @@ def _foreign(image: U8, sensor: PressedSensor, rng: Rng) -> U8:
         small = rng.uniform(0, 255, (6, 8)).astype(np.float32)
         scene = cv2.resize(small, shape[::-1], interpolation=cv2.INTER_NEAREST)
     elif kind == 2:
-        scene = 128 + 100 * np.sin((rows * rng.uniform(-1, 1) + cols * rng.uniform(-1, 1)) * rng.uniform(0.05, 0.6))
+        scene = 128 + 100 * np.sin(
+            (rows * rng.uniform(-1, 1) + cols * rng.uniform(-1, 1)) * rng.uniform(0.05, 0.6)
+        )
     else:
         scene = cv2.resize(rng.uniform(0, 255, (60, 80)).astype(np.float32), shape[::-1])
     grey = np.clip(scene, 0, 255).astype(np.uint8)
@@ -121,7 +125,9 @@ def _other_sensor(image: U8, sensor: PressedSensor, rng: Rng) -> U8:
     other = SimulatedSensor(random_model(int(rng.integers(100, 104))))
     frame, theirs, ours = other.frame((), 1).image, other.model, sensor.model
     zoom = ours.disc_radius_px / theirs.disc_radius_px
-    matrix = np.array(((zoom, 0, ours.col_c - zoom * theirs.col_c), (0, zoom, ours.row_c - zoom * theirs.row_c)))
+    matrix = np.array(
+        ((zoom, 0, ours.col_c - zoom * theirs.col_c), (0, zoom, ours.row_c - zoom * theirs.row_c))
+    )
     turned = cv2.getRotationMatrix2D((ours.col_c, ours.row_c), float(rng.uniform(0, 360)), 1.0)
     whole = turned @ np.vstack((matrix, (0, 0, 1)))
     return np.asarray(cv2.warpAffine(frame, whole, image.shape[1::-1]), np.uint8)
@@ -168,7 +174,12 @@ def frames(sensor: PressedSensor, seed: int, count: int) -> Iterator[tuple[str, 
             yield what, without_contact(sensor, what, 1000 * seed + k, 7000 + k)
     for what, spoil in SPOILT.items():
         for k in range(count):
-            yield what, spoil(sensor.frame((), 8000 + k).image, sensor, np.random.default_rng((seed, 52, k)))
+            yield (
+                what,
+                spoil(
+                    sensor.frame((), 8000 + k).image, sensor, np.random.default_rng((seed, 52, k))
+                ),
+            )
     for what, change in BEYOND.items():
         for k in range(count):
             rng = np.random.default_rng((seed, 53, k))
@@ -180,7 +191,9 @@ def calibrated(sensor: PressedSensor) -> Calibration:
     """From references alone."""
     model = sensor.model
     polarity: Polarity = "dark" if model.pin_tip_reflectance > 0.5 else "bright"
-    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, polarity)
+    stated = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, polarity
+    )
     return calibrate(stated, [sensor.frame((), k).image for k in range(REFERENCES)]).calibration
 
 
@@ -190,7 +203,9 @@ def seen(one: Reconstructor, image: U8, made: Reconstruction) -> Seen:
     if not made.contact and one.profile.network is not None:
         depth, inside = one.depth(image), one.rays.inside
         height = np.where(inside, depth.height_mm, np.float32(np.nan))
-        objects = find_objects(contact_of(depth, inside), height, None, one.rays, one.calibration.geometry)
+        objects = find_objects(
+            contact_of(depth, inside), height, None, one.rays, one.calibration.geometry
+        )
         found_mm = float(np.max(height[objects.contact])) if objects else 0.0
     code = made.reason.code.value if made.reason else ""
     return Seen(code, made.degraded is not None, made.contact, made.depth_max_mm, found_mm)
@@ -245,7 +260,9 @@ class Margins:
             one = (usual or refused)[0]
             far, near = (max, min) if math.isfinite(one.most) else (min, max)
             reach = far(each.found for each in usual) if usual else math.nan
-            if near_only and not (reach > one.most / 2 if math.isfinite(one.most) else reach < one.least * 2):
+            if near_only and not (
+                reach > one.most / 2 if math.isfinite(one.most) else reach < one.least * 2
+            ):
                 continue
             made.append(
                 (
@@ -259,11 +276,29 @@ class Margins:
         return made
 
 
-MARGINS = ("judge", "figure", "limit", "normal use reaches", "nearest refused", "frames refused by it")
-COLUMNS = ("what", "count", "refused", "by", "contacts", "not degraded", "deepest mm", "network overruled")
+MARGINS = (
+    "judge",
+    "figure",
+    "limit",
+    "normal use reaches",
+    "nearest refused",
+    "frames refused by it",
+)
+COLUMNS = (
+    "what",
+    "count",
+    "refused",
+    "by",
+    "contacts",
+    "not degraded",
+    "deepest mm",
+    "network overruled",
+)
 
 
-def judged(task: tuple[SensorName, Sequence[str], int]) -> tuple[dict[tuple[str, str], list[Seen]], Margins]:
+def judged(
+    task: tuple[SensorName, Sequence[str], int],
+) -> tuple[dict[tuple[str, str], list[Seen]], Margins]:
     """All frames of a sensor, by kind and profile."""
     name, profiles, count = task
     rows: dict[tuple[str, str], list[Seen]] = {}
@@ -271,7 +306,9 @@ def judged(task: tuple[SensorName, Sequence[str], int]) -> tuple[dict[tuple[str,
     made = {profile: reconstructor(calibrated(sensor), profile) for profile in profiles}
     for what, image in frames(sensor, name.seed or 0, count):
         for profile, one in made.items():
-            rows.setdefault((what, profile), []).append(seen(one, image, one.step(Frame(0, 0, 0, image))))
+            rows.setdefault((what, profile), []).append(
+                seen(one, image, one.step(Frame(0, 0, 0, image)))
+            )
             margins.add(one.measured(image), usual=what in USUAL)
     return rows, margins
 
@@ -279,9 +316,15 @@ def judged(task: tuple[SensorName, Sequence[str], int]) -> tuple[dict[tuple[str,
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sensors", type=working_sensors, default=working_sensors(SENSORS), metavar="SEED,...")
-    parser.add_argument("--profile", nargs="+", choices=PROFILES, default=("fast", "balanced", "accurate"))
-    parser.add_argument("--frames", type=int, default=10, metavar="N", help="of each kind and sensor (10)")
+    parser.add_argument(
+        "--sensors", type=working_sensors, default=working_sensors(SENSORS), metavar="SEED,..."
+    )
+    parser.add_argument(
+        "--profile", nargs="+", choices=PROFILES, default=("fast", "balanced", "accurate")
+    )
+    parser.add_argument(
+        "--frames", type=int, default=10, metavar="N", help="of each kind and sensor (10)"
+    )
     args = parser.parse_args()
     cv2.setNumThreads(1)
     rows: dict[tuple[str, str], list[Seen]] = {}
@@ -295,7 +338,8 @@ def main() -> int:
     whole = [[one for what in USUAL for one in rows[what, profile]] for profile in args.profile]
     table = [row("normal use", whole)]
     table += [
-        row(what, [rows[what, each] for each in args.profile]) for what in dict.fromkeys(what for what, _ in rows)
+        row(what, [rows[what, each] for each in args.profile])
+        for what in dict.fromkeys(what for what, _ in rows)
     ]
     print(f"Each number of three: {', '.join(args.profile)}\n\n{markdown(COLUMNS, table)}")
     print("\nThe limits of the judges\n\n" + markdown(MARGINS, margins.rows()))

@@ -57,12 +57,45 @@ class Plan:
     null_frames: int = 1000  # without contact over all sensors, with the disturbances of normal use
     beyond_frames: int = 300  # with greater ones (`BEYOND`)
     ball_radii_mm: tuple[float, ...] = (3.0, 6.0, 9.0)
-    faint_depths_mm: tuple[float, ...] = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5)
+    faint_depths_mm: tuple[float, ...] = (
+        0.1,
+        0.15,
+        0.2,
+        0.25,
+        0.3,
+        0.35,
+        0.4,
+        0.5,
+        0.6,
+        0.8,
+        1.0,
+        1.5,
+    )
     faint_places: int = 12  # of each sensor
-    depths_mm: tuple[float, ...] = tuple(0.5 * k for k in range(1, 17))  # of a ball of 6 mm and a cylinder
+    depths_mm: tuple[float, ...] = tuple(
+        0.5 * k for k in range(1, 17)
+    )  # of a ball of 6 mm and a cylinder
     deep_places: int = 8
-    pitches_mm: tuple[float, ...] = (1.4, 1.6, 1.8, 2.0, 2.2, 2.4)  # with which the first sensor is printed again
-    gaps_mm: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # between bars of `bar_width_mm`
+    pitches_mm: tuple[float, ...] = (
+        1.4,
+        1.6,
+        1.8,
+        2.0,
+        2.2,
+        2.4,
+    )  # with which the first sensor is printed again
+    gaps_mm: tuple[float, ...] = (
+        0.5,
+        1.0,
+        1.5,
+        2.0,
+        2.5,
+        3.0,
+        3.5,
+        4.0,
+        5.0,
+        6.0,
+    )  # between bars of `bar_width_mm`
     widths_mm: tuple[float, ...] = (0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 4.0)  # of a ridge
     bar_width_mm: float = 2.0
     fine_depth_mm: float = 2.5  # along z at the place
@@ -83,11 +116,20 @@ class Found:
     doubt: str
 
 
-def found(made: Reconstructor, image: U8) -> tuple[tuple[str, bool, bool, bool, float, int, str], HeightMap]:
+def found(
+    made: Reconstructor, image: U8
+) -> tuple[tuple[str, bool, bool, bool, float, int, str], HeightMap]:
     """The fields of `Found`, which begin each row, and the map."""
     result = made.step(Frame(0, 0, 0, image))
     doubt = text_of(result.reason or result.degraded)
-    seen = (result.valid, result.contact, result.saturated, result.depth_max_mm, len(result.objects), doubt)
+    seen = (
+        result.valid,
+        result.contact,
+        result.saturated,
+        result.depth_max_mm,
+        len(result.objects),
+        doubt,
+    )
     return (result.profile, *seen), result.height
 
 
@@ -161,7 +203,13 @@ class DisturbedRow(Found):
         return self.off > WRONG and self.valid and not self.doubt and not self.saturated
 
 
-KINDS = {"_nulls": NullRow, "_faint": FaintRow, "_deep": DeepRow, "_fine": FineRow, "_disturbed": DisturbedRow}
+KINDS = {
+    "_nulls": NullRow,
+    "_faint": FaintRow,
+    "_deep": DeepRow,
+    "_fine": FineRow,
+    "_disturbed": DisturbedRow,
+}
 
 UNDISTURBED = "nothing"
 RELEASED = "after a release"
@@ -182,15 +230,21 @@ def _aged(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _noisy(low: float, high: float) -> Change:
-    return lambda image, _, rng: camera_faults.noise(image, float(rng.uniform(low, high)), int(rng.integers(1 << 30)))
+    return lambda image, _, rng: camera_faults.noise(
+        image, float(rng.uniform(low, high)), int(rng.integers(1 << 30))
+    )
 
 
 CHANGES: dict[str, Change] = {
     UNDISTURBED: lambda image, model, rng: image,
-    "light within 20 %": lambda image, _, rng: camera_faults.gain(image, float(rng.uniform(0.8, 1.2))),
+    "light within 20 %": lambda image, _, rng: camera_faults.gain(
+        image, float(rng.uniform(0.8, 1.2))
+    ),
     "one side dims by 10 to 40 %": _aged,
     "glare spot": _glare,
-    "warm-up": lambda image, m, rng: bad_pictures.warm(image, m.row_c, m.col_c, float(rng.uniform(0, 1))),
+    "warm-up": lambda image, m, rng: bad_pictures.warm(
+        image, m.row_c, m.col_c, float(rng.uniform(0, 1))
+    ),
     "moved by 1 px": lambda image, _, rng: camera_faults.shift(
         image, *((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
     ),
@@ -209,13 +263,17 @@ def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _torn_row(model: SensorModel, rng: Rng) -> int:
-    return round(model.row_c + model.disc_radius_px * float(rng.choice((-0.6, -0.3, 0.0, 0.3, 0.6))))
+    return round(
+        model.row_c + model.disc_radius_px * float(rng.choice((-0.6, -0.3, 0.0, 0.3, 0.6)))
+    )
 
 
 def _sideways(px: int) -> Change:
     def change(image: U8, model: SensorModel, rng: Rng) -> U8:
         scaled_px = round(px * model.image_width_px / 640)
-        return bad_pictures.torn(image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1))))
+        return bad_pictures.torn(
+            image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1)))
+        )
 
     return change
 
@@ -231,14 +289,18 @@ def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
 
 
 def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return bad_pictures.torn(image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng))
+    return bad_pictures.torn(
+        image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng)
+    )
 
 
 BEYOND: dict[str, Change] = {
     "light x0.3 to x3": _far_light,
     "moved by 3 to 7 px": _far_moved,
     "noise of 15 to 50 levels": _noisy(15, 50),
-    "blur of 1 to 5 px": lambda image, _, rng: bad_pictures.defocus(image, float(rng.uniform(1, 5))),
+    "blur of 1 to 5 px": lambda image, _, rng: bad_pictures.defocus(
+        image, float(rng.uniform(1, 5))
+    ),
     "torn: rows sideways by 60 px": _sideways(60),
     "torn: rows sideways by 200 px": _sideways(200),
     "torn: one row again and again": _repeated,
@@ -289,7 +351,9 @@ def across(frame: SimulatedFrame, press: Press) -> Across:
     reach = int(REACH_MM / geometry.mm_per_px)
     t = np.arange(-reach, reach + 1)
     col, row = col + t * along[0], row + t * along[1]
-    inside = np.hypot(row - geometry.disc.row_c, col - geometry.disc.col_c) < geometry.disc.radius_px - 1
+    inside = (
+        np.hypot(row - geometry.disc.row_c, col - geometry.disc.col_c) < geometry.disc.radius_px - 1
+    )
     row, col = row[inside], col[inside]
     points = skin_points(frame.skin, geometry, row, col)
     x = (points[:, :2] - middle[:2]) @ along
@@ -300,7 +364,9 @@ def found_heights(line: Across, height: HeightMap) -> F64:
     """Sample a height map at the line's pixels; NaN where the map has no height."""
     j, i = (line.col - height.col0) / height.step_px, (line.row - height.row0) / height.step_px
     map_mm = np.ascontiguousarray(height.height_mm)
-    sampled = cv2.remap(map_mm, j.astype(np.float32)[:, None], i.astype(np.float32)[:, None], cv2.INTER_LINEAR)
+    sampled = cv2.remap(
+        map_mm, j.astype(np.float32)[:, None], i.astype(np.float32)[:, None], cv2.INTER_LINEAR
+    )
     return np.asarray(sampled[:, 0], np.float64)
 
 
@@ -317,24 +383,33 @@ def top_mm(x_mm: F64, h_mm: F64, width_mm: float) -> float:
     return float(np.nanmax(h_mm[np.abs(x_mm) <= width_mm / 2 + 0.5]))
 
 
-def places(model: SensorModel, count: int, reach_radii: float, seed: int | None) -> list[tuple[float, float]]:
+def places(
+    model: SensorModel, count: int, reach_radii: float, seed: int | None
+) -> list[tuple[float, float]]:
     """Spread places (x, y) in mm on a sunflower spiral out to `reach_radii` skin radii, turned by the sensor's seed."""
     turn = np.random.default_rng((0 if seed is None else seed + 1, 32)).uniform(0, 2 * math.pi)
     spread = []
     for k in range(count):
-        rho, angle = reach_radii * model.skin_radius_mm * math.sqrt((k + 0.5) / count), turn + k * _GOLDEN_ANGLE
+        rho, angle = (
+            reach_radii * model.skin_radius_mm * math.sqrt((k + 0.5) / count),
+            turn + k * _GOLDEN_ANGLE,
+        )
         spread.append((round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3)))
     return spread
 
 
-def ball_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float) -> Press:
+def ball_press(
+    skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float
+) -> Press:
     """Press a ball until the skin's greatest h is `height_mm`; off the axis, its lowest point is not the deepest."""
     rho2 = x_mm**2 + y_mm**2
     lowest = math.sqrt((skin_radius_mm + radius_mm - height_mm) ** 2 - rho2) - radius_mm
     return Press(ball(radius_mm), x_mm, y_mm, math.sqrt(skin_radius_mm**2 - rho2) - lowest)
 
 
-def cylinder_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float) -> Press:
+def cylinder_press(
+    skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float
+) -> Press:
     """Press the flat cylinder until the skin's greatest h, which is at the tip, is `height_mm`."""
     up = math.sqrt(skin_radius_mm**2 - x_mm**2 - y_mm**2) - skin_radius_mm
     return Press(OBJECTS["cylinder"](), x_mm, y_mm, height_mm + up)
@@ -343,19 +418,25 @@ def cylinder_press(skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: f
 _Task = tuple[Plan, SensorName, Calibration]
 
 
-def limits(plan: Plan, pool: Workers, report: Report, fitted: Mapping[SensorName, Path] | None = None) -> list[Found]:
+def limits(
+    plan: Plan, pool: Workers, report: Report, fitted: Mapping[SensorName, Path] | None = None
+) -> list[Found]:
     """Run a plan, with fitted calibrations if there are some.
 
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
     made = command.calibrations(fitted, plan.sensors, plan.references, plan.presses, pool, report)
-    known = [(plan, name, calibration) for name, calibration in zip(plan.sensors, made, strict=True)]
+    known = [
+        (plan, name, calibration) for name, calibration in zip(plan.sensors, made, strict=True)
+    ]
     # The longest jobs come first, so that no core waits at the end.
     jobs: list[tuple[Callable[[Any], Sequence[Found]], Any]] = [
         *((_fine, (plan, pitch)) for pitch in plan.pitches_mm),
         *((job, task) for job in (_deep, _faint, _nulls, _disturbed) for task in known),
     ]
-    return [row for rows in reported_map(_run, jobs, pool, report, "parts of the study") for row in rows]
+    return [
+        row for rows in reported_map(_run, jobs, pool, report, "parts of the study") for row in rows
+    ]
 
 
 def _run(job: tuple[Callable[[Any], Sequence[Found]], Any]) -> Sequence[Found]:
@@ -414,7 +495,15 @@ def _pressed(
             for depth in depths_mm:
                 press = press_to(sensor.model.skin_radius_mm, radius, x, y, depth)
                 frame = sensor.frame((press,), SCENE_NOISE + k)
-                where = (str(name), object_name, radius, depth, x, y, float(frame.skin.height_mm.max()))
+                where = (
+                    str(name),
+                    object_name,
+                    radius,
+                    depth,
+                    x,
+                    y,
+                    float(frame.skin.height_mm.max()),
+                )
                 rows += [kind(*found(each, frame.image)[0], *where) for each in made]
     return rows
 
@@ -423,9 +512,13 @@ def _fine(task: tuple[Plan, float]) -> list[FineRow]:
     plan, pitch = task
     name, width = plan.sensors[0], plan.bar_width_mm
     sensor: PressedSensor = SimulatedSensor(replace(name.make().model, pitch_mm=pitch))
-    calibration = calibrated_sensor(sensor, name.seed or 0, plan.references, plan.presses).calibration
+    calibration = calibrated_sensor(
+        sensor, name.seed or 0, plan.references, plan.presses
+    ).calibration
     made = [reconstructor(calibration, profile) for profile in plan.profiles]
-    shapes = [(bars(width, gap), gap, partial(dip_mm, width_mm=width, gap_mm=gap)) for gap in plan.gaps_mm]
+    shapes = [
+        (bars(width, gap), gap, partial(dip_mm, width_mm=width, gap_mm=gap)) for gap in plan.gaps_mm
+    ]
     shapes += [(ridge(size), size, partial(top_mm, width_mm=size)) for size in plan.widths_mm]
     rows = []
     for k, (x, y) in enumerate(places(sensor.model, plan.fine_places, 0.1, name.seed)):
@@ -433,10 +526,15 @@ def _fine(task: tuple[Plan, float]) -> list[FineRow]:
             press = Press(shape, x, y, plan.fine_depth_mm, 180.0 * k / plan.fine_places)
             frame = sensor.frame((press,), SCENE_NOISE + k)
             line = across(frame, press)
-            where, true_mm = (pitch, shape.name, size, x, y, press.rotation_deg), height(line.x_mm, line.true_mm)
+            where, true_mm = (
+                (pitch, shape.name, size, x, y, press.rotation_deg),
+                height(line.x_mm, line.true_mm),
+            )
             for each in made:
                 seen, map_mm = found(each, frame.image)
-                rows.append(FineRow(*seen, *where, true_mm, height(line.x_mm, found_heights(line, map_mm))))
+                rows.append(
+                    FineRow(*seen, *where, true_mm, height(line.x_mm, found_heights(line, map_mm)))
+                )
     return rows
 
 
@@ -446,12 +544,17 @@ def _disturbed(task: _Task) -> list[DisturbedRow]:
     first = 1000 * (0 if name.seed is None else name.seed + 1)
     rows = []
     for k, (x, y) in enumerate(places(sensor.model, plan.disturbed_places, 0.3, name.seed)):
-        frame = sensor.frame((ball_press(sensor.model.skin_radius_mm, 6.0, x, y, 2.0),), SCENE_NOISE + k)
+        frame = sensor.frame(
+            (ball_press(sensor.model.skin_radius_mm, 6.0, x, y, 2.0),), SCENE_NOISE + k
+        )
         clean = [each.step(Frame(0, 0, 0, frame.image)).depth_max_mm for each in made]
         for what in (what for what in CHANGES if what != UNDISTURBED):
             image = CHANGES[what](frame.image, sensor.model, np.random.default_rng((first + k, 33)))
             press = (str(name), what, first + k, x, y, float(frame.skin.height_mm.max()))
-            rows += [DisturbedRow(*found(each, image)[0], *press, mm) for each, mm in zip(made, clean, strict=True)]
+            rows += [
+                DisturbedRow(*found(each, image)[0], *press, mm)
+                for each, mm in zip(made, clean, strict=True)
+            ]
     return rows
 
 
@@ -465,15 +568,24 @@ WRONG = 0.25
 """Relative error above which a depth counts as wrong."""
 FINE: dict[str, tuple[str, Callable[[FineRow], bool]]] = {
     "gap: two objects": ("bars", lambda row: row.objects == 2),
-    "gap: half the dip": ("bars", lambda row: row.found_height_mm >= max(DIP_PART * row.true_height_mm, LEAST_DIP_MM)),
-    "ridge: height within 20 %": ("ridge", lambda r: abs(r.found_height_mm / r.true_height_mm - 1) <= RIDGE_OFF),
+    "gap: half the dip": (
+        "bars",
+        lambda row: row.found_height_mm >= max(DIP_PART * row.true_height_mm, LEAST_DIP_MM),
+    ),
+    "ridge: height within 20 %": (
+        "ridge",
+        lambda r: abs(r.found_height_mm / r.true_height_mm - 1) <= RIDGE_OFF,
+    ),
 }
 """The questions about fine shapes, with the shape and the test of each."""
 
 
 def detected(some: Sequence[DepthRow]) -> dict[float, float]:
     """Share of presses found by depth."""
-    return {depth: float(np.mean([r.contact for r in of])) for depth, of in sorted(grouped(some, "depth_mm").items())}
+    return {
+        depth: float(np.mean([r.contact for r in of]))
+        for depth, of in sorted(grouped(some, "depth_mm").items())
+    }
 
 
 def depth_errors(some: Sequence[DepthRow]) -> dict[float, tuple[float, float, float]]:
@@ -481,7 +593,11 @@ def depth_errors(some: Sequence[DepthRow]) -> dict[float, tuple[float, float, fl
     made = {}
     for depth, here in sorted(grouped(some, "depth_mm").items()):
         off = np.abs([r.found_mm - r.true_mm for r in here])
-        made[depth] = (float(off.mean()), float(np.quantile(off, 0.9)), float(np.mean([r.saturated for r in here])))
+        made[depth] = (
+            float(off.mean()),
+            float(np.quantile(off, 0.9)),
+            float(np.mean([r.saturated for r in here])),
+        )
     return made
 
 
@@ -550,11 +666,16 @@ def _nulls_table(profiles: Mapping[str, Sequence[NullRow]]) -> str:
 
 
 def _faint_table(profiles: Mapping[str, Sequence[FaintRow]]) -> str:
-    lines, depths = [], dict.fromkeys(depth for rows in profiles.values() for depth in detected(rows))
+    lines, depths = (
+        [],
+        dict.fromkeys(depth for rows in profiles.values() for depth in detected(rows)),
+    )
     for radius in sorted({row.radius_mm for rows in profiles.values() for row in rows}):
         for profile, rows in profiles.items():
             parts = detected([row for row in rows if row.radius_mm == radius]).values()
-            lines.append([f"ball, radius {radius:g} mm", profile, *(f"{100 * part:.0f}" for part in parts)])
+            lines.append(
+                [f"ball, radius {radius:g} mm", profile, *(f"{100 * part:.0f}" for part in parts)]
+            )
     return markdown(["object", "method", *(f"{depth:g} mm" for depth in depths)], lines)
 
 
@@ -566,8 +687,16 @@ def _deep_table(profiles: Mapping[str, Sequence[DeepRow]]) -> str:
             whole = [known[depth] for depth in known if depth == round(depth)]
             lines.append([f"{name}, mean", profile, *(f"{mean:.2f}" for mean, _, _ in whole)])
             lines.append([f"{name}, 90 %", profile, *(f"{high:.2f}" for _, high, _ in whole)])
-            lines.append([f"{name}, saturated %", profile, *(f"{100 * saturated:.0f}" for *_, saturated in whole)])
-    depths = dict.fromkeys(depth for rows in profiles.values() for depth in depth_errors(rows) if depth == round(depth))
+            lines.append(
+                [
+                    f"{name}, saturated %",
+                    profile,
+                    *(f"{100 * saturated:.0f}" for *_, saturated in whole),
+                ]
+            )
+    depths = dict.fromkeys(
+        depth for rows in profiles.values() for depth in depth_errors(rows) if depth == round(depth)
+    )
     return markdown(["object", "method", *(f"{depth:g} mm" for depth in depths)], lines)
 
 
@@ -577,7 +706,13 @@ def _fine_table(profiles: Mapping[str, Sequence[FineRow]]) -> str:
     for question in FINE:
         for profile, rows in profiles.items():
             sizes = (finest(rows, pitch, question) for pitch in pitches)
-            lines.append([question, profile, *("none" if size == math.inf else f"{size:g}" for size in sizes)])
+            lines.append(
+                [
+                    question,
+                    profile,
+                    *("none" if size == math.inf else f"{size:g}" for size in sizes),
+                ]
+            )
     return markdown(["what", "method", *(f"pitch {pitch:g}" for pitch in pitches)], lines)
 
 

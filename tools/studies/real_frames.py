@@ -41,7 +41,9 @@ from tacshade_edge.types import Calibration, Disc, Frame
 from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen
 
 PROFILES = ("fast", "balanced", "accurate")
-SENSOR = Sensor(skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark")
+SENSOR = Sensor(
+    skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark"
+)
 """A TacTip as printed; its camera's distance is a guess that does not affect ranks."""
 REFERENCES_EACH = 2
 """Number of free frames at a folder's start that are tried as references."""
@@ -73,7 +75,11 @@ def raw_frames(clone: Path) -> list[RealFrame]:
             free = row["contact"] == "False"
             known = {} if free else labels_of(row)
             # Images are numbered from 1 in the table and from 0 in their names.
-            frames.append(RealFrame(table.parent / f"raw_image{int(row['Image number']) - 1}.png", free, known))
+            frames.append(
+                RealFrame(
+                    table.parent / f"raw_image{int(row['Image number']) - 1}.png", free, known
+                )
+            )
     return found(frames, clone, "data/tactip_images/*/image_list.csv")
 
 
@@ -83,7 +89,10 @@ def plate_frames(clone: Path) -> list[RealFrame]:
     table = folder / "targets_images.csv"
     rows = rows_of(table) if table.exists() else []
     return found(
-        [RealFrame(folder / "processed_images" / row["sensor_image"], False, labels_of(row)) for row in rows],
+        [
+            RealFrame(folder / "processed_images" / row["sensor_image"], False, labels_of(row))
+            for row in rows
+        ],
         clone,
         f"{PLATES}/targets_images.csv",
     )
@@ -199,20 +208,28 @@ def counted(reasons: Iterable[str]) -> str:
     return ", ".join(f"{reason} {count}" for reason, count in Counter(reasons).most_common()) or "-"
 
 
-def summary(frames: Sequence[RealFrame], rows: Sequence[FoundRow], all_seen: Sequence[Seen]) -> tuple[str, ...]:
+def summary(
+    frames: Sequence[RealFrame], rows: Sequence[FoundRow], all_seen: Sequence[Seen]
+) -> tuple[str, ...]:
     """One profile's counts: refused, why, false contacts on free frames, presses refused or empty, those of more than
     `LEAST_MM`, and networks overruled.
     """
     refused = [row.refused for row in rows if row.refused]
     free = [row for frame, row in zip(frames, rows, strict=True) if frame.free]
     pressed = [row for frame, row in zip(frames, rows, strict=True) if frame.free is False]
-    deep = [row for frame, row in zip(frames, rows, strict=True) if frame.known.get("depth_mm", 0) > LEAST_MM]
+    deep = [
+        row
+        for frame, row in zip(frames, rows, strict=True)
+        if frame.known.get("depth_mm", 0) > LEAST_MM
+    ]
     return (
         rows[0].profile,
         f"{len(refused)} of {len(rows)}",
         counted(refused),
         f"{sum(r.contact and not r.refused for r in free)} of {len(free)}" if free else "-",
-        f"{sum(bool(r.refused) or not r.contact for r in pressed)} of {len(pressed)}" if pressed else "-",
+        f"{sum(bool(r.refused) or not r.contact for r in pressed)} of {len(pressed)}"
+        if pressed
+        else "-",
         f"{sum(bool(r.refused) or not r.contact for r in deep)} of {len(deep)}" if deep else "-",
         f"{sum(one.overruled for one in all_seen)} of {len(all_seen)}",
     )
@@ -237,7 +254,9 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
     pairs = [
         ((row.shear_x_mm, row.shear_y_mm), (labels["shear_x_mm"], labels["shear_y_mm"]))
         for row, labels in zip(rows, known, strict=True)
-        if not row.refused and "shear_x_mm" in labels and np.isfinite((row.shear_x_mm, row.shear_y_mm)).all()
+        if not row.refused
+        and "shear_x_mm" in labels
+        and np.isfinite((row.shear_x_mm, row.shear_y_mm)).all()
     ]
     if len(pairs) > 3:
         ours, theirs = np.array(pairs).transpose(1, 2, 0)
@@ -260,7 +279,11 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str], fits: bo
     candidates, sensor = reference_candidates(frames), SENSORS.get(name, SENSOR)
     tried = [calibrated_from(sensor, path) for path in candidates]
     accepted = [calibration for calibration, _ in tried if calibration is not None]
-    free = "free frames" if any(frame.free for frame in frames) else "frames (none is known to be free)"
+    free = (
+        "free frames"
+        if any(frame.free for frame in frames)
+        else "frames (none is known to be free)"
+    )
     print(f"References: `calibrate` accepts {len(accepted)} of {len(candidates)} {free}.")
     if any(reason for _, reason in tried):
         print(f"Refused: {counted(reason.partition(':')[0] for _, reason in tried if reason)}.")
@@ -268,7 +291,9 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str], fits: bo
     if not accepted:
         print("The first is taken all the same, as by `--allow-loaded-reference`.")
     disc = calibration.geometry.disc
-    print(f"Circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px.\n")
+    print(
+        f"Circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px.\n"
+    )
     calibration = fitted(calibration) if fits else calibration
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[FoundRow]] = {profile: [] for profile in profiles}
@@ -290,12 +315,19 @@ def report(name: str, frames: list[RealFrame], profiles: Sequence[str], fits: bo
         f"of more than {LEAST_MM:g} mm",
         "network overruled",
     )
-    print(markdown(columns, [summary(frames, some, all_seen[profile]) for profile, some in rows.items()]))
+    print(
+        markdown(
+            columns, [summary(frames, some, all_seen[profile]) for profile, some in rows.items()]
+        )
+    )
     if near := margins.rows(near_only=True):
         print("\nFigures that come within half of a judge's limit\n\n" + markdown(MARGINS, near))
     figures = [line for some in rows.values() for line in followed(frames, some)]
     if figures:
-        print("\n" + markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures))
+        print(
+            "\n"
+            + markdown(("profile", "quantity", "frames", "rank correlation", "mean error"), figures)
+        )
     if name == "plates":
         print(f"\nPublished networks, trained on this robot's own labels: {PUBLISHED}.")
 
@@ -306,7 +338,9 @@ def main() -> int:
     parser.add_argument("set", choices=SETS)
     parser.add_argument("clone", type=Path)
     parser.add_argument("--profile", nargs="+", choices=PROFILES, default=PROFILES)
-    parser.add_argument("--frames", type=int, default=500, metavar="N", help="of the set, evenly (500)")
+    parser.add_argument(
+        "--frames", type=int, default=500, metavar="N", help="of the set, evenly (500)"
+    )
     parser.add_argument("--fit", action="store_true", help="the networks to the reference")
     args = parser.parse_args()
     cv2.setNumThreads(1)

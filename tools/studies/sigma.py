@@ -57,7 +57,9 @@ class Cells(SigmaRow):
     sigma_of_cells_mm: F32
 
 
-def presses(model: SensorModel, seed: int | None, object_name: str) -> Iterator[tuple[float, Press]]:
+def presses(
+    model: SensorModel, seed: int | None, object_name: str
+) -> Iterator[tuple[float, Press]]:
     """The presses of the study of drag, undragged and dragged by 2 mm, each with its drag in mm."""
     for condition, _, press in drag.presses(model, seed, object_name):
         if condition.drag_mm in DRAGGED_MM and not condition.twist_deg:
@@ -87,9 +89,17 @@ def rows(profiles: Sequence[str], task: tuple[SensorName, Calibration, str]) -> 
             if not result.contact or result.sigma_mm is None:
                 continue
             contact = result.height.contact
-            error_mm = np.abs(result.height.height_mm[contact] - true_height_mm(frame, each.grid, contact))
+            error_mm = np.abs(
+                result.height.height_mm[contact] - true_height_mm(frame, each.grid, contact)
+            )
             sigma_mm = result.sigma_mm[contact]
-            pressed = (result.profile, str(name), object_name, round(press.depth_mm / scale, 3), drag_mm)
+            pressed = (
+                result.profile,
+                str(name),
+                object_name,
+                round(press.depth_mm / scale, 3),
+                drag_mm,
+            )
             covered = int(np.count_nonzero(error_mm <= INTERVAL_90 * sigma_mm))
             means = (len(sigma_mm), float(error_mm.mean()), float(sigma_mm.mean()), covered)
             found.append(Cells(*pressed, *means, error_mm.astype(np.float32), sigma_mm))
@@ -98,7 +108,10 @@ def rows(profiles: Sequence[str], task: tuple[SensorName, Calibration, str]) -> 
 
 def joined(found: Sequence[Cells]) -> tuple[F32, F32]:
     """|error| and σ of all cells in mm."""
-    errors, sigmas = ([each.error_of_cells_mm for each in found], [each.sigma_of_cells_mm for each in found])
+    errors, sigmas = (
+        [each.error_of_cells_mm for each in found],
+        [each.sigma_of_cells_mm for each in found],
+    )
     return np.concatenate(errors), np.concatenate(sigmas)
 
 
@@ -129,13 +142,19 @@ FIGURES: dict[str, Callable[[Sequence[Cells]], str]] = {
 
 def text(found: Sequence[Cells]) -> str:
     """A table for each family of sensors and one for both, lines for each profile, depth and drag."""
-    families = {f"Family {name}": of for name, of in grouped(found, lambda row: family_of(row.sensor)).items()}
+    families = {
+        f"Family {name}": of
+        for name, of in grouped(found, lambda row: family_of(row.sensor)).items()
+    }
     tables = []
     for title, mine in (families | ({"Both families": found} if len(families) > 1 else {})).items():
         groups: list[tuple[tuple[str, str], Sequence[Cells]]] = []
         for profile, of in grouped(mine, "profile").items():
             for what, by in (("mm deep", "depth_mm"), ("mm of drag", "drag_mm")):
-                groups += [((f"{mm:g} {what}", profile), some) for mm, some in sorted(grouped(of, by).items())]
+                groups += [
+                    ((f"{mm:g} {what}", profile), some)
+                    for mm, some in sorted(grouped(of, by).items())
+                ]
             groups.append((("all", profile), of))
         tables.append(f"{title}\n\n{summary(('what', 'method'), groups, FIGURES)}")
     return "\n\n".join(tables)
@@ -149,7 +168,13 @@ def main(words: Sequence[str] | None = None) -> None:
     command.check_presses(parser, args.presses)
     if "paper" in args.profile:
         parser.error("--profile: found paper, which gives no errors")
-    work = partial(command.over_sensors, partial(rows, args.profile), args.sensors, args.objects, fitted=args.fitted)
+    work = partial(
+        command.over_sensors,
+        partial(rows, args.profile),
+        args.sensors,
+        args.objects,
+        fitted=args.fitted,
+    )
     work = partial(work, references=args.references, presses=args.presses)
     command.run(parser, args, "sigma", work, text, {"": SigmaRow})
 

@@ -122,7 +122,11 @@ def rows(plan: Plan, task: tuple[SensorName, Calibration, tuple[float, str]]) ->
     made = [reconstructor(calibration, profile) for profile in plan.profiles]
     seen = [(each.profile.name, str(name), object_name) for each in made]
     if speed_mm_s:
-        return [r for way in DIRECTIONS_DEG for r in _slides(name, made, seen, object_name, speed_mm_s, way)]
+        return [
+            r
+            for way in DIRECTIONS_DEG
+            for r in _slides(name, made, seen, object_name, speed_mm_s, way)
+        ]
     parts = len(plan.sensors) * len(plan.objects)
     found: list[Seen] = [*_held(name, made, seen, object_name, plan.held_s / parts)]
     for k in range(round(plan.released_s / AFTER_S / parts)):
@@ -137,7 +141,9 @@ def way_of(name: SensorName, object_name: str, direction_deg: float) -> Motion:
     """Press an object on one side of the tip, ready for a path across the tip."""
     scale = name.make().model.skin_radius_mm / 20
     x, y = (-0.4 * WAY_MM * scale * f(math.radians(direction_deg)) for f in (math.cos, math.sin))
-    return pressed(Press(OBJECTS[object_name](), x, y, DEPTH_MM * scale, 30.0, scale), 0.0, LIFT_MM_S).held(0.3)
+    return pressed(
+        Press(OBJECTS[object_name](), x, y, DEPTH_MM * scale, 30.0, scale), 0.0, LIFT_MM_S
+    ).held(0.3)
 
 
 def _followed(
@@ -147,7 +153,13 @@ def _followed(
     trackers = [ContactTracker() for _ in made]
     for k in frames:
         frame = Frame(k, round(1e9 * k / FPS), 0, scene.frame(k / FPS, k).image)
-        yield k, [follow(tracker, each.step(frame)) for tracker, each in zip(trackers, made, strict=True)]
+        yield (
+            k,
+            [
+                follow(tracker, each.step(frame))
+                for tracker, each in zip(trackers, made, strict=True)
+            ],
+        )
 
 
 def _slips(result: Reconstruction) -> bool:
@@ -155,7 +167,12 @@ def _slips(result: Reconstruction) -> bool:
 
 
 def _slides(
-    name: SensorName, made: Sequence[Reconstructor], seen: _Seen, object_name: str, speed_mm_s: float, way_deg: float
+    name: SensorName,
+    made: Sequence[Reconstructor],
+    seen: _Seen,
+    object_name: str,
+    speed_mm_s: float,
+    way_deg: float,
 ) -> list[SlideRow]:
     model = name.make().model
     scale, begun = model.skin_radius_mm / 20, way_of(name, object_name, way_deg)
@@ -163,10 +180,14 @@ def _slides(
     motion = begun.dragged(x, y, speed_mm_s)
     scene = MovingScene([motion], model)
     first, last = math.ceil(begun.times_s[-1] * FPS), math.floor(motion.times_s[-1] * FPS)
-    onset = first + bisect_left(range(first, last + 1), True, key=lambda k: scene.objects(k / FPS)[0].slip is Slip.FULL)
+    onset = first + bisect_left(
+        range(first, last + 1), True, key=lambda k: scene.objects(k / FPS)[0].slip is Slip.FULL
+    )
     reported, speeds = [math.nan] * len(made), [math.nan] * len(made)
     measured = onset + round(0.15 * FPS)
-    for k, results in _followed(scene, made, range(math.ceil(begun.times_s[1] * FPS), min(last, onset + FPS // 4) + 1)):
+    for k, results in _followed(
+        scene, made, range(math.ceil(begun.times_s[1] * FPS), min(last, onset + FPS // 4) + 1)
+    ):
         for j, result in enumerate(results):
             if math.isnan(reported[j]) and _slips(result):
                 reported[j] = k / FPS
@@ -188,9 +209,14 @@ def _held(
     motion = way_of(name, object_name, 0.0).dragged(drag_mm, 0.0, 10.0).held(held_s + SETTLED_S)
     first = math.ceil((motion.times_s[-2] + SETTLED_S) * FPS)
     slips, sliding = [0] * len(made), [False] * len(made)
-    for _, results in _followed(MovingScene([motion], model), made, range(first, first + round(held_s * FPS))):
+    for _, results in _followed(
+        MovingScene([motion], model), made, range(first, first + round(held_s * FPS))
+    ):
         now = [_slips(result) for result in results]
-        slips = [count + (is_now and not was) for count, is_now, was in zip(slips, now, sliding, strict=True)]
+        slips = [
+            count + (is_now and not was)
+            for count, is_now, was in zip(slips, now, sliding, strict=True)
+        ]
         sliding = now
     return [HeldRow(*who, held_s, count) for who, count in zip(seen, slips, strict=True)]
 
@@ -199,14 +225,19 @@ def _released(
     name: SensorName, made: Sequence[Reconstructor], seen: _Seen, object_name: str, k: int
 ) -> list[ReleaseRow]:
     model = name.make().model
-    scale, rng = model.skin_radius_mm / 20, np.random.default_rng((0 if name.seed is None else name.seed + 1, 41, k))
+    scale, rng = (
+        model.skin_radius_mm / 20,
+        np.random.default_rng((0 if name.seed is None else name.seed + 1, 41, k)),
+    )
     rho, angle, depth_mm = rng.uniform((0, 0, 1), (6, 2 * math.pi, 4.5)) * (scale, 1, scale)
     place = (rho * math.cos(angle), rho * math.sin(angle))
     press = Press(OBJECTS[object_name](), *place, depth_mm, float(rng.uniform(0, 360)), scale)
     motion = pressed(press, 0.0, LIFT_MM_S).held(0.5).released(2 * LIFT_MM_S)
     scene = MovingScene([motion], model)
     lifted, gone = (math.floor(FPS * t) for t in motion.times_s[-3:-1])
-    free = lifted + bisect_left(range(lifted, gone + 2), True, key=lambda f: not scene.objects(f / FPS)[0].touches)
+    free = lifted + bisect_left(
+        range(lifted, gone + 2), True, key=lambda f: not scene.objects(f / FPS)[0].touches
+    )
     soon = range(free, free + round(SOON_S * FPS))
     later = range(soon.stop, free + round(AFTER_S * FPS), FPS // LATER_FPS)
     reported, frames, phantoms = [math.nan] * len(made), [0] * len(made), [0] * len(made)
@@ -247,7 +278,9 @@ def _ratio(row: SlideRow) -> float:
 SLIDES: dict[str, Callable[[Sequence[SlideRow]], str]] = {
     "slips": lambda some: str(len(_there(some))),
     "in time %": lambda some: _in_time(_there(some)),
-    "median delay ms": lambda some: _median([1000 * (row.reported_s - row.onset_s) for row in some], ".0f"),
+    "median delay ms": lambda some: _median(
+        [1000 * (row.reported_s - row.onset_s) for row in some], ".0f"
+    ),
     "never": lambda some: str(sum(math.isnan(row.reported_s) for row in _there(some))),
     "early": lambda some: str(sum(row.is_early for row in some)),
     "speed found / true": lambda some: _median([_ratio(row) for row in _there(some)], ".2f"),
@@ -277,12 +310,18 @@ def text(found: Sequence[Seen]) -> str:
     by_speed = [
         ((speed, profile), some)
         for profile, of in slides.items()
-        for speed, some in (*grouped(of, lambda row: f"{row.speed_mm_s:g} mm/s").items(), ("all", of))
+        for speed, some in (
+            *grouped(of, lambda row: f"{row.speed_mm_s:g} mm/s").items(),
+            ("all", of),
+        )
     ]
     parts = (
         ("slide", summary(("speed", "method"), by_speed, SLIDES)),
         ("are held", summary(("method",), [((name,), of) for name, of in held.items()], HELD)),
-        ("are lifted off", summary(("method",), [((name,), of) for name, of in released.items()], RELEASES)),
+        (
+            "are lifted off",
+            summary(("method",), [((name,), of) for name, of in released.items()], RELEASES),
+        ),
     )
     return "\n\n".join(f"Objects that {what}\n\n{table}" for what, table in parts)
 
@@ -290,14 +329,25 @@ def text(found: Sequence[Seen]) -> str:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
     parser = command.options("Slips and releases over time.", "default,5,11", FINAL_SENSORS[:3])
-    parser.add_argument("--held", type=float, default=600.0, metavar="SECONDS", help="over all held objects (600)")
+    parser.add_argument(
+        "--held", type=float, default=600.0, metavar="SECONDS", help="over all held objects (600)"
+    )
     args = parser.parse_args(words)
     if any(sensor.family != "tacshade" for sensor in args.sensors):
         parser.error("--sensors: only the family tacshade moves in time")
     plan = Plan(args.sensors, tuple(args.profile), held_s=args.held)
     parts = [(speed, what) for speed in (0.0, *plan.speeds_mm_s) for what in plan.objects]
-    work = partial(command.over_sensors, partial(rows, plan), plan.sensors, parts, fitted=args.fitted)
-    command.run(parser, args, "slip", work, text, {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow})
+    work = partial(
+        command.over_sensors, partial(rows, plan), plan.sensors, parts, fitted=args.fitted
+    )
+    command.run(
+        parser,
+        args,
+        "slip",
+        work,
+        text,
+        {"_slides": SlideRow, "_held": HeldRow, "_releases": ReleaseRow},
+    )
 
 
 if __name__ == "__main__":

@@ -73,7 +73,14 @@ SETS = {
         "targets.csv",
         "sensor_images",
         _POSE | _DRAG | {"Fx": "force_x_n", "Fy": "force_y_n", "Fz": "force_z_n"},
-        {"depth mm": (0,), "tilt °": (1, 2), "shear mm": (3, 4), "twist °": (5,), "Fx, Fy N": (6, 7), "Fz N": (8,)},
+        {
+            "depth mm": (0,),
+            "tilt °": (1, 2),
+            "shear mm": (3, 4),
+            "twist °": (5,),
+            "Fx, Fy N": (6, 7),
+            "Fz N": (8,),
+        },
         ("published network", "6425", "0.111", "1.04", "", "", "", "", "", "", ""),
         SENSORS["tilted"],
     ),
@@ -106,7 +113,9 @@ class Taker:
         self.features: list[F32] = []
         self.imprints: list[F32] = []
         self.changed_parts: list[float] = []
-        self.made = Reconstructor(calibration, chosen, load_network(chosen.network), touch=self.features)
+        self.made = Reconstructor(
+            calibration, chosen, load_network(chosen.network), touch=self.features
+        )
 
     def take(self, image: U8) -> Reconstruction | None:
         """The frame's result; None if it is not usable."""
@@ -115,7 +124,9 @@ class Taker:
         if found is None or len(self.features) == before:
             return None
         self.changed_parts.append(self.made.changed_part)
-        self.imprints.append(imprint_of(found.objects, found.volume_mm3) if found.contact else NO_IMPRINT)
+        self.imprints.append(
+            imprint_of(found.objects, found.volume_mm3) if found.contact else NO_IMPRINT
+        )
         return found
 
 
@@ -128,9 +139,15 @@ def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
             labels.append([float(row[name]) for name in robot.columns])
             second.append(run == robot.runs[1])
     known, later = np.array(labels), np.array(second)
-    taker = Taker(forced(robot.sensor, [pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]), profile)
+    taker = Taker(
+        forced(robot.sensor, [pictures[int(np.where(later, known[:, 0], np.inf).argmin())]]),
+        profile,
+    )
     usable = np.array([taker.take(read_image(path)) is not None for path in pictures])
-    features, shown = (np.zeros((len(pictures), len(one[0])), np.float32) for one in (taker.features, taker.imprints))
+    features, shown = (
+        np.zeros((len(pictures), len(one[0])), np.float32)
+        for one in (taker.features, taker.imprints)
+    )
     features[usable], shown[usable] = taker.features, taker.imprints
     changed_parts = np.zeros(len(pictures))
     changed_parts[usable] = taker.changed_parts
@@ -155,11 +172,16 @@ class Score:
 def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score:
     """Learn from `count` frames of the first run and judge the second."""
     random = np.random.default_rng(seed)
-    taught, judged = random.permutation(np.flatnonzero(~frames.second))[:count], np.flatnonzero(frames.second)
+    taught, judged = (
+        random.permutation(np.flatnonzero(~frames.second))[:count],
+        np.flatnonzero(frames.second),
+    )
     taught = taught[frames.usable[taught]]
     began_s = time.process_time()
     table = frames.features[taught], frames.imprints[taught], frames.changed_parts[taught]
-    learnt = learn(*table, names, frames.labels[taught], np.arange(len(taught), dtype=np.int64), "study")
+    learnt = learn(
+        *table, names, frames.labels[taught], np.arange(len(taught), dtype=np.int64), "study"
+    )
     learning_s = time.process_time() - began_s
     labels, model = frames.labels[judged], learnt.model
     answers, half = np.full(labels.shape, np.nan), np.full(labels.shape, np.nan)
@@ -178,7 +200,9 @@ def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score
     errors = np.abs(labels - np.where(known, answers, frames.labels[taught].mean(axis=0)))
     held = np.where(known, errors <= half, np.nan)
     holds = np.array([np.nanmean(one) if np.isfinite(one).any() else np.nan for one in held.T])
-    return Score(errors.mean(axis=0), holds, float(1 - known[:, 0].mean()), learning_s, labels, answers, half)
+    return Score(
+        errors.mean(axis=0), holds, float(1 - known[:, 0].mean()), learning_s, labels, answers, half
+    )
 
 
 def draw(score: Score, names: Sequence[str], file: Path) -> None:
@@ -193,9 +217,18 @@ def draw(score: Score, names: Sequence[str], file: Path) -> None:
     for axis, (name, words) in zip(axes, _DRAWN.items(), strict=True):
         q = list(names).index(name)
         answers, half = score.answers[: len(at), q], score.half_intervals[: len(at), q]
-        axis.errorbar(at, answers, half, fmt="none", ecolor="#8ab6e8", elinewidth=4, label="90 % interval")
+        axis.errorbar(
+            at, answers, half, fmt="none", ecolor="#8ab6e8", elinewidth=4, label="90 % interval"
+        )
         axis.plot(at, answers, "o", color="#1f5fa8", markersize=4, label="touch model")
-        axis.plot(at, score.labels[: len(at), q], "k_", markersize=9, markeredgewidth=1.6, label="robot, force sensor")
+        axis.plot(
+            at,
+            score.labels[: len(at), q],
+            "k_",
+            markersize=9,
+            markeredgewidth=1.6,
+            label="robot, force sensor",
+        )
         axis.set_ylabel(words)
         axis.grid(alpha=0.3)
     axes[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
@@ -203,7 +236,9 @@ def draw(score: Score, names: Sequence[str], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
-def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequence[int], out: Path | None) -> None:
+def report(
+    robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequence[int], out: Path | None
+) -> None:
     """Measure, print."""
     lines, names = [robot.published], tuple(robot.columns.values())
     for profile in profiles:
@@ -229,7 +264,9 @@ def report(robot: RobotSet, clone: Path, profiles: Sequence[str], counts: Sequen
     columns = ("", "labels", *robot.shown, "90 % intervals hold", "no answer", "learning, CPU s")
     print(markdown(columns, lines))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
-    print(f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB.")
+    print(
+        f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB."
+    )
 
 
 def main(arguments: Iterable[str] | None = None) -> int:
@@ -238,7 +275,10 @@ def main(arguments: Iterable[str] | None = None) -> int:
     parser.add_argument("set", choices=SETS)
     parser.add_argument("clone", type=Path)
     parser.add_argument(
-        "--profile", nargs="+", choices=("fast", "balanced", "accurate"), default=("balanced", "accurate")
+        "--profile",
+        nargs="+",
+        choices=("fast", "balanced", "accurate"),
+        default=("balanced", "accurate"),
     )
     parser.add_argument("--labels", nargs="+", type=int, default=LABELS)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="draw touch.png")

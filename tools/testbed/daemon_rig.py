@@ -20,7 +20,9 @@ class RingSource:
     """A `FrameSource` that cycles through images of a file, uint8 (N, H, W); it drops late ones, as a camera does."""
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._images: U8 = np.asarray(np.load(path, mmap_mode="r"))  # mapped: its pages are counted separately
+        self._images: U8 = np.asarray(
+            np.load(path, mmap_mode="r")
+        )  # mapped: its pages are counted separately
         self._period_ns = round(1e9 / fps)
         self._zero_ns = self._next_seq = 0
         self.dropped = 0
@@ -33,7 +35,9 @@ class RingSource:
         """Wait until the next frame is due; its time stamp is that time."""
         seq, t_ns = self._wait()
         wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)])
+        return Frame(
+            seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)]
+        )
 
     def skip(self) -> bool:
         """Wait until the next frame is due."""
@@ -67,9 +71,13 @@ def draw_rings(folder: Path) -> None:
     from tacshade_edge.simulator.script import Script
     from tacshade_edge.simulator.truth import SimulatedSensor
 
-    script = Script((Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1)
+    script = Script(
+        (Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1
+    )
     sensor = SimulatedSensor(None)
-    shown = [sensor.frame(script.at((RING // 4 + i) % RING), noise_seed=i).image for i in range(RING)]
+    shown = [
+        sensor.frame(script.at((RING // 4 + i) % RING), noise_seed=i).image for i in range(RING)
+    ]
     free = [sensor.frame(noise_seed=RING + i).image for i in range(RING)]
     for name, images in (("contact", shown), ("free", free)):
         np.save(folder / f"{name}.npy", np.stack(images)[..., 1])
@@ -79,10 +87,17 @@ def draw_rings(folder: Path) -> None:
 def memory_mb(pid: int) -> dict[str, float]:
     """`FIELDS` of a process in MiB, without the images of a `RingSource`: a camera's images take no memory."""
     status = Path(f"/proc/{pid}/status").read_text()
-    found = {name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE) for name, key in FIELDS.items()}
+    found = {
+        name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE)
+        for name, key in FIELDS.items()
+    }
     images_mb = _mapped_mb(pid, "Rss", images=True)
     shown_mb = dict.fromkeys(FIELDS, images_mb) | {"own": 0.0}
-    return {name: round(int(match[1]) / 1024 - shown_mb[name], 1) for name, match in found.items() if match}
+    return {
+        name: round(int(match[1]) / 1024 - shown_mb[name], 1)
+        for name, match in found.items()
+        if match
+    }
 
 
 def pss_mb(pid: int) -> float:

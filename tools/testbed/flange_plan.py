@@ -27,12 +27,18 @@ MIDDLE_NS = 10**12
 Turns = tuple[tuple[tuple[int, int, int], ...], ...]
 
 
-def plan(x_mm: float, y_mm: float, skin_radius_mm: float, turns_deg: Turns = TURNS_DEG) -> list[Rigid]:
+def plan(
+    x_mm: float, y_mm: float, skin_radius_mm: float, turns_deg: Turns = TURNS_DEG
+) -> list[Rigid]:
     """``base_T_sensor`` of the presses around a place, their undeformed apex at z = 0."""
     poses = []
     for spot, (dx_mm, dy_mm) in enumerate(SPOTS_MM):
         for yaw, tilt_x, tilt_y in turns_deg[spot % len(turns_deg)]:
-            straight = shift(x_mm + dx_mm, y_mm + dy_mm, skin_radius_mm) @ DOWN @ turn((0, 0, math.radians(yaw)))
+            straight = (
+                shift(x_mm + dx_mm, y_mm + dy_mm, skin_radius_mm)
+                @ DOWN
+                @ turn((0, 0, math.radians(yaw)))
+            )
             tilt = turn((math.radians(tilt_x), math.radians(tilt_y), 0))
             poses.append(about_apex(straight, tilt, skin_radius_mm))
     return poses
@@ -52,7 +58,8 @@ def track(base_T_flange: Rigid, phase: float) -> tuple[Pose, ...]:
     """The poses that a robot reports of a press, at `_TRACK_HZ`; `phase` 0 to 1 of a period moves their times."""
     times_s = (np.arange(-18, 19) + phase) / _TRACK_HZ
     return tuple(
-        Pose(MIDDLE_NS + round(t * 1e9), *(shift(0, 0, height_mm(t)) @ base_T_flange).seven()) for t in times_s.tolist()
+        Pose(MIDDLE_NS + round(t * 1e9), *(shift(0, 0, height_mm(t)) @ base_T_flange).seven())
+        for t in times_s.tolist()
     )
 
 
@@ -71,7 +78,9 @@ def exact_frames(
         for above_mm in (-1.0, 1.0) if moving and k % 5 == 0 else ():
             t_ns = MIDDLE_NS + round(time_s(above_mm) * 1e9 + delay_ms * 1e6)
             lifted = shift(0, 0, abs(above_mm)) @ pose
-            frames.append(ContactFrame(_points(lifted, k), k, t_ns, track(base_T_flange, k % 7 / 7)))
+            frames.append(
+                ContactFrame(_points(lifted, k), k, t_ns, track(base_T_flange, k % 7 / 7))
+            )
     return frames
 
 

@@ -26,7 +26,9 @@ from tools.testbed.patience import patience, wait_until
 def certificate(folder: Path) -> tuple[Path, Path]:
     """Write ``cert.pem`` and ``key.pem`` as in docs/how-to/opening.md; return their paths."""
     cert, key = folder / "cert.pem", folder / "key.pem"
-    options = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
+    options = (
+        "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=localhost"
+    )
     names = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(cert)]
     subprocess.run(["openssl", *options.split(), *names], check=True, capture_output=True)
     return cert, key
@@ -49,7 +51,12 @@ class Broker:
     """
 
     def __init__(
-        self, folder: Path, *, users: dict[str, str] | None = None, tls: bool = False, more: tuple[str, ...] = ()
+        self,
+        folder: Path,
+        *,
+        users: dict[str, str] | None = None,
+        tls: bool = False,
+        more: tuple[str, ...] = (),
     ) -> None:
         assert MOSQUITTO is not None
         self.port = free_port()
@@ -68,7 +75,11 @@ class Broker:
             passwords = folder / "passwords"
             passwords.touch(0o600)
             for name, word in users.items():
-                subprocess.run(["mosquitto_passwd", "-b", passwords, name, word], check=True, capture_output=True)
+                subprocess.run(
+                    ["mosquitto_passwd", "-b", passwords, name, word],
+                    check=True,
+                    capture_output=True,
+                )
             lines += ["allow_anonymous false", f"password_file {passwords}"]
         self._config.write_text("\n".join(lines) + "\n")
 
@@ -114,7 +125,10 @@ class Broker:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.stop()
 
@@ -125,7 +139,9 @@ class Subscriber:
     With `page`, it connects as a browser does: over WebSocket, through the dashboard's port.
     """
 
-    def __init__(self, port: int, topics: str = "#", *, v5: bool = False, page: bool = False) -> None:
+    def __init__(
+        self, port: int, topics: str = "#", *, v5: bool = False, page: bool = False
+    ) -> None:
         self.messages: list[MQTTMessage] = []
         self._subscribed = threading.Event()
         protocol = MQTTProtocolVersion.MQTTv5 if v5 or page else MQTTProtocolVersion.MQTTv311
@@ -148,13 +164,21 @@ class Subscriber:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.client.disconnect()
         self.client.loop_stop()
 
     def publish(
-        self, topic: str, payload: bytes, qos: int = 1, properties: Properties | None = None, **other: Any
+        self,
+        topic: str,
+        payload: bytes,
+        qos: int = 1,
+        properties: Properties | None = None,
+        **other: Any,
     ) -> None:
         self.client.publish(topic, payload, qos, properties=properties, **other)
 
@@ -162,13 +186,19 @@ class Subscriber:
         return [bytes(m.payload) for m in list(self.messages) if m.topic == topic]
 
     def wait_for(self, topic: str, count: int = 1, timeout_s: float = 5) -> list[bytes]:
-        wait_until(lambda: len(self.of(topic)) >= count, timeout_s, f"{count} x {topic}, got {len(self.of(topic))}")
+        wait_until(
+            lambda: len(self.of(topic)) >= count,
+            timeout_s,
+            f"{count} x {topic}, got {len(self.of(topic))}",
+        )
         return self.of(topic)
 
     def wait_for_last(self, topic: str, payload: bytes, timeout_s: float = 5) -> None:
         """Wait until a topic's latest payload is this one."""
         try:
-            wait_until(lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}")
+            wait_until(
+                lambda: self.of(topic)[-1:] == [payload], timeout_s, f"{payload!r} last of {topic}"
+            )
         except AssertionError as error:
             error.add_note(f"received: {self.of(topic)}")
             raise
@@ -178,13 +208,23 @@ class BridgeProcess:
     """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port, at the `url` that it prints."""
 
     def __init__(self, kind: str, broker_port: int, log: Path, *words: str) -> None:
-        self._command = [sys.executable, "-m", "tacshade_edge", "bridge", kind, "--listen", "127.0.0.1:0"]
+        self._command = [
+            sys.executable,
+            "-m",
+            "tacshade_edge",
+            "bridge",
+            kind,
+            "--listen",
+            "127.0.0.1:0",
+        ]
         self._command += ["--broker", f"127.0.0.1:{broker_port}", *words]
         self._log = log
 
     def __enter__(self) -> BridgeProcess:
         with self._log.open("w") as stream:
-            self.process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=stream, text=True)
+            self.process = subprocess.Popen(
+                self._command, stdout=subprocess.PIPE, stderr=stream, text=True
+            )
         assert self.process.stdout is not None
         found = re.search(r"\w+://\S+", self.process.stdout.readline())
         assert found, self.log()
@@ -192,7 +232,10 @@ class BridgeProcess:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.process.kill()
         self.process.communicate()

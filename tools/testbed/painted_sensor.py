@@ -26,7 +26,10 @@ def painted(*, touched: bool = False) -> U8:
         for col in np.arange(4 + (i % 2) * PITCH_PX / 2, WIDTH, PITCH_PX):
             far_px = np.hypot(row - DISC.row_c, col - DISC.col_c)
             spread = SPREAD if touched and far_px < PRESSED_PX else 0.0
-            at = (round(col + spread * (col - DISC.col_c)), round(row + spread * (row - DISC.row_c)))
+            at = (
+                round(col + spread * (col - DISC.col_c)),
+                round(row + spread * (row - DISC.row_c)),
+            )
             cv2.circle(image, at, 3 if spread else 2, 200, -1)
     return image
 
@@ -58,14 +61,18 @@ FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH
 
 def touched_depth_mm() -> float:
     """The core's depth in mm for `TOUCHED` with the default profile: a subscriber must find the same."""
-    result = make_reconstructor(painted_calibration(), PROFILES[DEFAULT]).step(Frame(0, 0, 0, TOUCHED))
+    result = make_reconstructor(painted_calibration(), PROFILES[DEFAULT]).step(
+        Frame(0, 0, 0, TOUCHED)
+    )
     assert result.contact
     return float(np.nanmax(result.height.height_mm))
 
 
 def enlarged(image: U8) -> U8:
     """To 640x480, as a lens would show it: without its blur, rows that follow the painted pattern look torn."""
-    return np.asarray(cv2.GaussianBlur(image.repeat(SCALE, axis=0).repeat(SCALE, axis=1), (0, 0), 1.5), np.uint8)
+    return np.asarray(
+        cv2.GaussianBlur(image.repeat(SCALE, axis=0).repeat(SCALE, axis=1), (0, 0), 1.5), np.uint8
+    )
 
 
 def enlarged_calibration() -> Calibration:

@@ -82,4 +82,6 @@ def promised(condition: Callable[[], object], seconds: float, what: str) -> None
 
 if __name__ == "__main__":
     looks = sorted(slowness() * UNIT_S for _ in range(9))
-    print(f"a unit takes {1e3 * looks[4]:.2f} ms here ({1e3 * looks[0]:.2f} to {1e3 * looks[-1]:.2f})")
+    print(
+        f"a unit takes {1e3 * looks[4]:.2f} ms here ({1e3 * looks[0]:.2f} to {1e3 * looks[-1]:.2f})"
+    )

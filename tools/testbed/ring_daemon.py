@@ -15,7 +15,9 @@ from tacshade_edge.settings import Document, Hand, load_all, load_hand
 from tools.testbed.daemon_rig import RingSource
 
 config, fps = Path(sys.argv[1]), float(sys.argv[2])
-rings = {name: RingSource(Path(name), fps) for name in sys.argv[3:]}  # in the order of the sensors, read once
+rings = {
+    name: RingSource(Path(name), fps) for name in sys.argv[3:]
+}  # in the order of the sensors, read once
 documents, hand = load_all(config), load_hand(config)
 lines = Lines(hand.fingers if hand else ())
 ring = dict(zip((document.settings.sensor_id for document in documents), sys.argv[3:], strict=True))
@@ -34,4 +36,6 @@ def work(part: Document | Hand) -> int:
 
 
 gc.freeze()  # as `run` does
-leave(Supervisor(documents, hand, lines.end).run(work) if len(documents) > 1 else work(documents[0]))
+leave(
+    Supervisor(documents, hand, lines.end).run(work) if len(documents) > 1 else work(documents[0])
+)

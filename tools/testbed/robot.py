@@ -52,7 +52,11 @@ def _usb(rng: random.Random) -> float:
 
 def _loaded(rng: random.Random) -> float:
     """The same on a board whose cores are all busy: the scheduler's slices on top, now and then many."""
-    return _usb(rng) + rng.expovariate(1 / 0.001) + (rng.uniform(0.005, 0.03) if rng.random() < 0.05 else 0)
+    return (
+        _usb(rng)
+        + rng.expovariate(1 / 0.001)
+        + (rng.uniform(0.005, 0.03) if rng.random() < 0.05 else 0)
+    )
 
 
 def _ftdi(rng: random.Random) -> float:
@@ -87,7 +91,15 @@ def motion(at_s: float) -> PoseValues:
     """The flange's pose: a circle of 40 mm in 4 s, rocking by 20 degrees about x."""
     phase = math.tau * at_s / 4
     half = math.radians(10) * math.sin(phase)
-    return (40 * math.cos(phase), 40 * math.sin(phase), 300.0, math.cos(half), math.sin(half), 0.0, 0.0)
+    return (
+        40 * math.cos(phase),
+        40 * math.sin(phase),
+        300.0,
+        math.cos(half),
+        math.sin(half),
+        0.0,
+        0.0,
+    )
 
 
 @dataclass(slots=True)
@@ -240,13 +252,21 @@ class PtyRobot:
     def _talk(self, now_s: float) -> None:
         if self._state in ("hello", "mode"):
             if now_s - self._asked_s > REPLY_S:
-                if self._state == "mode" and self._asked_s > 0:  # did it change its mode? HELLO is heard in both
+                if (
+                    self._state == "mode" and self._asked_s > 0
+                ):  # did it change its mode? HELLO is heard in both
                     self._state = "hello"
                 self._asked_s = now_s
-                text = f"HELLO 1 crc=req boot=b{self.counts.boots}" if self._state == "hello" else "MODE BIN"
+                text = (
+                    f"HELLO 1 crc=req boot=b{self.counts.boots}"
+                    if self._state == "hello"
+                    else "MODE BIN"
+                )
                 if self._state == "hello":
                     self._mode_binary = False
-                    self._send(b"\n", now_s, plain=True)  # ends what a robot before this one may have begun
+                    self._send(
+                        b"\n", now_s, plain=True
+                    )  # ends what a robot before this one may have begun
                 self._command(text, now_s)
             if not self._one_way:
                 return
@@ -258,7 +278,9 @@ class PtyRobot:
         period_s = 1 / self._rate_hz if self._rate_hz else math.inf
         if now_s - self._pose_at_s > 0.5:
             self._pose_at_s = now_s  # not all that was missed
-        while self._pose_at_s + period_s <= now_s and (self.poses_max is None or self.counts.poses < self.poses_max):
+        while self._pose_at_s + period_s <= now_s and (
+            self.poses_max is None or self.counts.poses < self.poses_max
+        ):
             self._pose_at_s += period_s
             self._send_pose(self._pose_at_s, now_s)
 
@@ -338,8 +360,14 @@ class PtyRobot:
     def _hear(self, data: bytes, t4_ns: int) -> None:
         """Decode both modes at once: a line has no zero, and no frame is so short that its first byte is a LF."""
         self._buffer += data
-        while (end := min((i for i in map(self._buffer.find, (b"\n", b"\0")) if i >= 0), default=-1)) >= 0:
-            raw, zero, self._buffer = self._buffer[:end], self._buffer[end] == 0, self._buffer[end + 1 :]
+        while (
+            end := min((i for i in map(self._buffer.find, (b"\n", b"\0")) if i >= 0), default=-1)
+        ) >= 0:
+            raw, zero, self._buffer = (
+                self._buffer[:end],
+                self._buffer[end] == 0,
+                self._buffer[end + 1 :],
+            )
             try:
                 line = parse_line(cobs_decode(raw)[1:] if zero else raw) if raw else None
             except DecodeError as error:
@@ -370,8 +398,12 @@ class PtyRobot:
 
 def main() -> None:
     """Run until the time is over or until Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--link", type=Path, required=True, help="under /dev, for serial.device: /dev/shm/robot")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--link", type=Path, required=True, help="under /dev, for serial.device: /dev/shm/robot"
+    )
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--seconds", type=float, default=math.inf)
     parser.add_argument("--binary", action="store_true")
@@ -381,13 +413,18 @@ def main() -> None:
     parser.add_argument("--lose", type=float, default=0.0)
     parser.add_argument("--damage", type=float, default=0.0)
     parser.add_argument(
-        "--stall", type=lambda t: tuple(map(float, t.split(":"))), default=(0.0, 0.0), metavar="EVERY:FOR"
+        "--stall",
+        type=lambda t: tuple(map(float, t.split(":"))),
+        default=(0.0, 0.0),
+        metavar="EVERY:FOR",
     )
     parser.add_argument("--reboot", type=float, default=0.0, metavar="EVERY")
     args = parser.parse_args()
     if not args.link.absolute().is_relative_to("/dev"):
         found = f"found {args.link}, expected a path such as /dev/shm/robot"
-        parser.error(f"--link: {found}: serial.device takes a path under /dev only, where serial ports are")
+        parser.error(
+            f"--link: {found}: serial.device takes a path under /dev only, where serial ports are"
+        )
     robot = PtyRobot(
         args.link,
         rate_hz=args.rate,

@@ -33,10 +33,21 @@ def main() -> None:
     parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=list(NETWORKS))
     args, others = parser.parse_known_args()
     module = (sys.executable, "-m")
-    maker = subprocess.Popen((*module, "tools.training.make_data", "--out", args.data, "--sensors", args.sensors))
+    maker = subprocess.Popen(
+        (*module, "tools.training.make_data", "--out", args.data, "--sensors", args.sensors)
+    )
     runs = [
         subprocess.Popen(
-            (*module, "tools.training.train", "--data", args.data, "--out", args.out / name, *NETWORKS[name], *others)
+            (
+                *module,
+                "tools.training.train",
+                "--data",
+                args.data,
+                "--out",
+                args.out / name,
+                *NETWORKS[name],
+                *others,
+            )
         )
         for name in args.networks
     ]

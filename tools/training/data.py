@@ -44,9 +44,16 @@ class Data:
         """How far the skin in contact has moved sideways, on average."""
         parts = []
         for some in range(0, len(self.frame), 1024):
-            contact, shear = self.contact[some : some + 1024], self.shear[some : some + 1024].float()
-            part = functional.adaptive_avg_pool2d(contact[:, None].float(), COARSE_CELLS)[:, 0, :, :, None]
-            parts.append((part * shear).sum((1, 2)).norm(dim=1) / part.sum((1, 2, 3)).clamp(min=1e-6))
+            contact, shear = (
+                self.contact[some : some + 1024],
+                self.shear[some : some + 1024].float(),
+            )
+            part = functional.adaptive_avg_pool2d(contact[:, None].float(), COARSE_CELLS)[
+                :, 0, :, :, None
+            ]
+            parts.append(
+                (part * shear).sum((1, 2)).norm(dim=1) / part.sum((1, 2, 3)).clamp(min=1e-6)
+            )
         return torch.cat(parts) * DISC_MM
 
 
@@ -55,9 +62,15 @@ def joined(parts: Sequence[Data]) -> Data:
     first = np.cumsum([0] + [len(part.reference) for part in parts])
     sensor = torch.cat([part.sensor + int(k) for part, k in zip(parts, first, strict=False)])
     named = {
-        f.name: [getattr(part, f.name) for part in parts] for f in fields(Data) if f.name not in ("sensor", "fold")
+        f.name: [getattr(part, f.name) for part in parts]
+        for f in fields(Data)
+        if f.name not in ("sensor", "fold")
     }
-    return Data(**{name: torch.cat(tensors) for name, tensors in named.items()}, sensor=sensor, fold=parts[0].fold)
+    return Data(
+        **{name: torch.cat(tensors) for name, tensors in named.items()},
+        sensor=sensor,
+        fold=parts[0].fold,
+    )
 
 
 def shards_in(folder: Path) -> dict[str, list[Path]]:
@@ -75,7 +88,10 @@ def load(paths: Sequence[Path], fold: int, cells: int, device: str = "cpu") -> D
 
 def _shard(path: Path, fold: int, cells: int, device: str) -> Data:
     with np.load(path) as shard:
-        arrays = {name: shard[name] for name in ("reference", "known", "frame", "height", "contact", "shear")}
+        arrays = {
+            name: shard[name]
+            for name in ("reference", "known", "frame", "height", "contact", "shear")
+        }
     arrays["contact"] = np.unpackbits(arrays["contact"], axis=-1)
     sensors, frames = arrays["frame"].shape[:2]
     by, to = 112 // cells, arrays["shear"].shape[2] // COARSE_CELLS
@@ -101,13 +117,17 @@ def _pooled(name: str, array: np.ndarray, by: int) -> Tensor:
     values = torch.from_numpy(array)
     if by == 1:
         return values
-    means = functional.avg_pool2d(values.flatten(0, -3)[:, None].float(), by)[:, 0].unflatten(0, values.shape[:-2])
+    means = functional.avg_pool2d(values.flatten(0, -3)[:, None].float(), by)[:, 0].unflatten(
+        0, values.shape[:-2]
+    )
     if name == "contact":
         means = (means >= 0.5).float()
     return (means.round() if array.dtype == np.uint8 else means).to(values.dtype)
 
 
-def batch(data: Data, index: Tensor | np.ndarray, turn: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def batch(
+    data: Data, index: Tensor | np.ndarray, turn: int = 0
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Make a network's inputs; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
 
     `turn` selects one of the square's 8 symmetries.
@@ -122,7 +142,10 @@ def batch(data: Data, index: Tensor | np.ndarray, turn: int = 0) -> tuple[Tensor
     maps = torch.stack((turned(data.frame[index]), turned(data.reference[sensor])), 1).float() / 255
     # A turned sensor is another sensor of the family, so the maps of its geometry are not turned.
     x = torch.cat((functional.pixel_unshuffle(maps, data.fold), data.known[sensor].float()), 1)
-    height, contact = turned(data.height[index]).float() * HEIGHT_SCALE, turned(data.contact[index]).float()
+    height, contact = (
+        turned(data.height[index]).float() * HEIGHT_SCALE,
+        turned(data.contact[index]).float(),
+    )
     x_y = turned(data.shear[index]).float() * HEIGHT_SCALE
     for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
         x_y = torch.stack((x_y[..., 1], -x_y[..., 0]), -1)
@@ -154,7 +177,9 @@ def other_looks(maps: Tensor, generator: torch.Generator) -> Tensor:
     for dim in (2, 3):
         pad = (1, 1, 0, 0) if dim == 3 else (0, 0, 1, 1)
         wide, cells = functional.pad(changed, pad, mode="replicate"), maps.shape[dim]
-        changed = changed + blur * (wide.narrow(dim, 0, cells) + wide.narrow(dim, 2, cells) - 2 * changed)
+        changed = changed + blur * (
+            wide.narrow(dim, 0, cells) + wide.narrow(dim, 2, cells) - 2 * changed
+        )
     shown = (maps > 0).any(1, keepdim=True)  # nothing shows outside the disc
     noise = torch.randn(maps[:, :1].shape, generator=generator, device=maps.device)
     frame = changed[:, :1] * (1 + GAIN * drawn(True)) + NOISE * drawn(False) * noise

@@ -86,24 +86,35 @@ def main() -> None:
     shape = (1, net.down[0][0].in_channels, cells // fold, cells // fold)
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
     white, known = x[:, : fold**2], x[:, fold**2 :]
-    once, outputs = args.out.with_suffix(".sensor.onnx"), OUTPUTS[state["arguments"].get("net", "depth")]
+    once, outputs = (
+        args.out.with_suffix(".sensor.onnx"),
+        OUTPUTS[state["arguments"].get("net", "depth")],
+    )
     with torch.no_grad():
         made = net(x)
         sensor = PerSensor(net)(known)
     expected = [y.numpy() for y in (made if isinstance(made, tuple) else (made,))]
     write(PerSensor(net), {"known": known}, ["sensor"], once)
     write(PerFrame(net), {"white": white, "sensor": sensor}, outputs, args.out)
-    found = run(args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]})
+    found = run(
+        args.out, {"white": white.numpy(), "sensor": run(once, {"known": known.numpy()})[0]}
+    )
     off = max(float(np.abs(f - e).max()) for f, e in zip(found, expected, strict=True))
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+    commit = subprocess.run(
+        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True
+    ).stdout.strip()
     rows = [json.loads(line) for line in (args.run / "figures.jsonl").read_text().splitlines()]
     about = {
-        "sha256": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once)},
+        "sha256": {
+            path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (args.out, once)
+        },
         "cells": cells,
         "fold": fold,
         "parameters": sum(p.numel() for p in net.parameters()),
         "commit": commit,
-        "training": {k: v for k, v in state["arguments"].items() if k not in ("data", "out", "start")},
+        "training": {
+            k: v for k, v in state["arguments"].items() if k not in ("data", "out", "start")
+        },
         "steps": state["step"],
         "shards": state["shards"],
         "figures": {k: v for k, v in rows[-1].items() if k != "s_per_step"},
@@ -125,7 +136,9 @@ def write(part: nn.Module, inputs: dict[str, Tensor], outputs: list[str], path: 
 
 def run(path: Path, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
     """Run a part with ONNX Runtime, as the project does."""
-    return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, inputs)
+    return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(
+        None, inputs
+    )
 
 
 if __name__ == "__main__":

@@ -27,13 +27,17 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
         white, at_rest = functional.pixel_shuffle(x[:, : 2 * data.fold**2], data.fold).unbind(1)
         white = white.contiguous()
         spoil(white, at_rest, height.clone(), contact.clone(), 1.0, rng)
-        spoiled = torch.cat((functional.pixel_unshuffle(white[:, None], data.fold), x[:, data.fold**2 :]), 1)
+        spoiled = torch.cat(
+            (functional.pixel_unshuffle(white[:, None], data.fold), x[:, data.fold**2 :]), 1
+        )
         with halved(x.device.type):
             torn += list((net(spoiled)[1].float() > 0).float().mean((1, 2, 3)))
             y, odds = net(x)
         strange += list((odds.float() > 0).float().mean((1, 2, 3)))
         found, logit = split_output(y, data.fold)
-        dragged = (shear * touching_part(contact)).sum((2, 3)).norm(dim=1) / touching_part(contact).sum((1, 2, 3))
+        dragged = (shear * touching_part(contact)).sum((2, 3)).norm(dim=1) / touching_part(
+            contact
+        ).sum((1, 2, 3))
         for f, h, p, c, d in zip(found, height, logit > 0, contact > 0, dragged, strict=True):
             if c.sum() < LEAST_CELLS * (c.shape[-1] / 112) ** 2:
                 continue
@@ -47,7 +51,10 @@ def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
     names = ("error_mm", "undragged_error_mm", "shape_error_mm", "depth_error", "iou")
     values = (errors, still, shapes, relative, ious)
     row = {n: round(float(np.mean(v)), 4) for n, v in zip(names, values, strict=True)}
-    return row | {"called_torn": share_over(strange, UNTRUSTED_CELLS), "torn": share_over(torn, UNTRUSTED_CELLS)}
+    return row | {
+        "called_torn": share_over(strange, UNTRUSTED_CELLS),
+        "torn": share_over(torn, UNTRUSTED_CELLS),
+    }
 
 
 def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
@@ -57,12 +64,19 @@ def shear_figures(net: nn.Module, data: Data) -> dict[str, float]:
         with halved(x.device.type):
             moved = net(x).float()
         touching = touching_part(contact)
-        found, true = ((touching * each).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3) for each in (moved, shear))
+        found, true = (
+            (touching * each).sum((2, 3)) / touching.sum((2, 3)).clamp(min=1e-3)
+            for each in (moved, shear)
+        )
         there = contact.sum((1, 2)) >= LEAST_CELLS
         off += ((found - true).norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE)).tolist()
         size += (true.norm(dim=1)[there] * (DISC_MM / HEIGHT_SCALE)).tolist()
     dragged = np.array(off)[np.array(size) > STILL_MM]
-    values = {"shear_error_mm": np.mean(off), "median_mm": np.median(off), "dragged_median_mm": np.median(dragged)}
+    values = {
+        "shear_error_mm": np.mean(off),
+        "median_mm": np.median(off),
+        "dragged_median_mm": np.median(dragged),
+    }
     return {name: round(float(value), 4) for name, value in values.items()}
 
 

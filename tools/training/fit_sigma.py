@@ -33,14 +33,33 @@ from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import no_mark
 from tacshade_edge.inference.network import WEIGHTS, load_networks
 from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.studies.evaluate.work import PRESS_NOISE, PRESSES, REFERENCE_NOISE, REFERENCES, SensorName
+from tacshade_edge.studies.evaluate.work import (
+    PRESS_NOISE,
+    PRESSES,
+    REFERENCE_NOISE,
+    REFERENCES,
+    SensorName,
+)
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies import command
 from tools.studies.sigma import NOISE, presses, true_height_mm
 from tools.testbed.simulator.families import sensor_name
 
-SENSORS = ("5", "11", "21", "50", "51", "52", "other:31", "other:32", "other:33", "other:34", "other:35", "other:36")
+SENSORS = (
+    "5",
+    "11",
+    "21",
+    "50",
+    "51",
+    "52",
+    "other:31",
+    "other:32",
+    "other:33",
+    "other:34",
+    "other:35",
+    "other:36",
+)
 WEIGHT_OBJECTS = ("cube", "ball", "cylinder", "bar", "cross")
 SCALE_OBJECTS = ("small_crescent", "plate", "prism", "two_balls")
 EVERY = 4
@@ -90,10 +109,19 @@ def measure(text: str) -> Measured:
     name = sensor_name(text)
     sensor = name.make()
     model, networks = sensor.model, load_networks()
-    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    stated = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]
     pressed = [
-        KnownPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}",
+            sensor.frame((p,), PRESS_NOISE + k).image,
+            radius,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
         for k, (p, radius) in enumerate(ball_presses(model, PRESSES, name.seed or 0))
     ]
     calibration = calibrate(stated, references, pressed, networks=networks).calibration
@@ -111,19 +139,38 @@ def measure(text: str) -> Measured:
                     continue
                 frame = sensor.frame((press,), NOISE + k)
                 for (network, kind), (preprocessor, solver) in solvers.items():
-                    depth = solver.solve(preprocessor.preprocess(preprocessor.grey(frame.image)), no_mark)
+                    depth = solver.solve(
+                        preprocessor.preprocess(preprocessor.grey(frame.image)), no_mark
+                    )
                     inside = rays_in_image(solver.grid, calibration).inside
                     where = contact_of(depth, inside)
                     where[where] = np.arange(np.count_nonzero(where)) % EVERY == 0
-                    if not where.any() or depth.contact_logit is None or depth.untrusted_logit is None:
+                    if (
+                        not where.any()
+                        or depth.contact_logit is None
+                        or depth.untrusted_logit is None
+                    ):
                         continue
                     height = np.where(inside, depth.height_mm, np.float32(0))
-                    x = terms(height, depth.contact_logit, depth.untrusted_logit, where, calibration.geometry)
+                    x = terms(
+                        height,
+                        depth.contact_logit,
+                        depth.untrusted_logit,
+                        where,
+                        calibration.geometry,
+                    )
                     error_mm = np.abs(height[where] - true_height_mm(frame, solver.grid, where))
-                    found.setdefault((network, of if kind == "known" else f"bare {of}"), []).append(Cells(x, error_mm))
-    taken = {of: {n: Cells.joined(found[n, of]) for n in LADDER} for of in ("weights", "scales", "bare scales")}
+                    found.setdefault((network, of if kind == "known" else f"bare {of}"), []).append(
+                        Cells(x, error_mm)
+                    )
+    taken = {
+        of: {n: Cells.joined(found[n, of]) for n in LADDER}
+        for of in ("weights", "scales", "bare scales")
+    }
     print(f"{text}: {sum(len(c.error_mm) for c in taken['weights'].values())} cells", flush=True)
-    return Measured(name, calibration, pressed, taken["weights"], taken["scales"], taken["bare scales"])
+    return Measured(
+        name, calibration, pressed, taken["weights"], taken["scales"], taken["bare scales"]
+    )
 
 
 def quantile_weights(x: F64, log_error: F64, of_each: F64) -> F64:
@@ -156,23 +203,32 @@ def fit(network: str, sensors: list[Measured]) -> SigmaModel:
     of_each = np.concatenate([np.full(len(c.x), 1 / len(c.x) / len(of)) for c in of])
     scales = np.zeros(len(of))
     for _ in range(6):  # alternate between all sensors' weights and each sensor's scale
-        log_error = [np.log(c.error_mm / k + 1e-3) - s for c, k, s in zip(of, size, scales, strict=True)]
+        log_error = [
+            np.log(c.error_mm / k + 1e-3) - s for c, k, s in zip(of, size, scales, strict=True)
+        ]
         weights = quantile_weights(x, np.concatenate(log_error), of_each)
         model = SigmaModel((weights[0] - np.log(INTERVAL_90), *weights[1:]), 1.0, 0.0, 1.0)
         scales = np.log([scale_of(model, c, s.geometry) for c, s in zip(of, sensors, strict=True)])
     other = np.array([sensor.name.family != "tacshade" for sensor in sensors])
     usual = np.log([scale_of(model, s.scales[network], s.geometry) for s in sensors])[~other].mean()
-    model = replace(model, weights=(float(model.weights[0] + usual), *map(float, model.weights[1:])))
+    model = replace(
+        model, weights=(float(model.weights[0] + usual), *map(float, model.weights[1:]))
+    )
     needed = np.log([scale_of(model, s.scales[network], s.geometry) for s in sensors])
     bare = np.log([scale_of(model, s.bare[network], s.geometry) for s in sensors])
     shown = np.log([_press_q(network, model, sensor) for sensor in sensors])
     slope = float(np.cov(shown, needed, bias=True)[0, 1] / shown.var())
     offset = float(needed.mean() - slope * shown.mean())
     print(f"{network}: scales, from presses, without presses")
-    for sensor, row in zip(sensors, zip(needed, offset + slope * shown, bare, strict=True), strict=True):
+    for sensor, row in zip(
+        sensors, zip(needed, offset + slope * shown, bare, strict=True), strict=True
+    ):
         print(f"  {sensor.name!s:9}", *(f"{np.exp(value):6.2f}" for value in row))
     return replace(
-        model, scale_without_presses=float(np.exp(bare[other].mean())), press_offset=offset, press_slope=slope
+        model,
+        scale_without_presses=float(np.exp(bare[other].mean())),
+        press_offset=offset,
+        press_slope=slope,
     )
 
 
@@ -196,13 +252,17 @@ def main() -> None:
         onnx = WEIGHTS / f"{network}.onnx"
         networks[network] = {
             "sha256": hashlib.sha256(onnx.read_bytes()).hexdigest(),
-            "weights": {name: round(weight, 4) for name, weight in zip(TERMS, model.weights, strict=True)},
+            "weights": {
+                name: round(weight, 4) for name, weight in zip(TERMS, model.weights, strict=True)
+            },
             "scale_without_presses": round(model.scale_without_presses, 4),
             "press_offset": round(model.press_offset, 4),
             "press_slope": round(model.press_slope, 4),
         }
     about = {"sensors": SENSORS, "weight_objects": WEIGHT_OBJECTS, "scale_objects": SCALE_OBJECTS}
-    (WEIGHTS / "sigma.json").write_text(json.dumps({**about, "networks": networks}, indent=1) + "\n")
+    (WEIGHTS / "sigma.json").write_text(
+        json.dumps({**about, "networks": networks}, indent=1) + "\n"
+    )
 
 
 if __name__ == "__main__":

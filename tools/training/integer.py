@@ -29,7 +29,9 @@ from tools.training.integer_graph import Channels, Graph, Network
 WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
-def channels(network: Network, once: bytes, frames: Sequence[Data], part: float) -> dict[str, Channels]:
+def channels(
+    network: Network, once: bytes, frames: Sequence[Data], part: float
+) -> dict[str, Channels]:
     """Measure the tensors that become codes or that convolutions of codes read; ranges cover `part` of the frames."""
     names = sorted({*network.coded, *network.read})
     model = onnx.ModelProto()
@@ -39,8 +41,12 @@ def channels(network: Network, once: bytes, frames: Sequence[Data], part: float)
     found: dict[str, list[tuple[np.ndarray, ...]]] = {name: [] for name in names}
     for white, known in _inputs(frames):
         sensor = sense.run(None, {"known": known})[0]
-        for name, values in zip(names, run.run(names, {"white": white, "sensor": sensor}), strict=True):
-            found[name].append((values.min((0, 2, 3)), values.max((0, 2, 3)), values.mean((0, 2, 3))))
+        for name, values in zip(
+            names, run.run(names, {"white": white, "sensor": sensor}), strict=True
+        ):
+            found[name].append(
+                (values.min((0, 2, 3)), values.max((0, 2, 3)), values.mean((0, 2, 3)))
+            )
     return {
         name: _over_frames([np.array(each, np.float64) for each in zip(*rows, strict=True)], part)
         for name, rows in found.items()
@@ -57,7 +63,10 @@ def _inputs(frames: Sequence[Data]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     for data in frames:
         for k in range(len(data.frame)):
             x = batch(data, np.array([k]))[0].contiguous().numpy()
-            yield np.ascontiguousarray(x[:, : data.fold**2]), np.ascontiguousarray(x[:, data.fold**2 :])
+            yield (
+                np.ascontiguousarray(x[:, : data.fold**2]),
+                np.ascontiguousarray(x[:, data.fold**2 :]),
+            )
 
 
 def _session(data: bytes) -> onnxruntime.InferenceSession:
@@ -71,7 +80,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Write the integer graph of a shipped network.")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--name", required=True)
-    parser.add_argument("--part", type=float, default=1.0, help="of the frames whose values the codes hold")
+    parser.add_argument(
+        "--part", type=float, default=1.0, help="of the frames whose values the codes hold"
+    )
     args = parser.parse_args()
     path = WEIGHTS / f"{args.name}.onnx"
     about = json.loads(path.with_suffix(".json").read_text())

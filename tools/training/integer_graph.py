@@ -50,14 +50,18 @@ class Network:
         heads = [self.head(output.name) for output in model.graph.output]
         self.read_by_heads = {head.input[0] for head in heads}
         in_float = [*heads]
-        if OUTPUTS[0] in self.maker:  # the other values of this tensor are 20 times as large as the heights
+        if (
+            OUTPUTS[0] in self.maker
+        ):  # the other values of this tensor are 20 times as large as the heights
             in_float.append(self.maker[self.maker[self.maker[OUTPUTS[0]].input[0]].input[0]])
         convolutions = [node for node in self.nodes if node.op_type == "Conv"]
         sums = [node for node in self.nodes if node.op_type == "Add" and "sensor" not in node.input]
         coded = [node for node in convolutions if node not in in_float]
         self.coded = [self.result(node) for node in coded] + [node.output[0] for node in sums]
         self.read = sorted({node.input[0] for node in coded[1:]})
-        self.one_scale = {self.source(name) for node in sums for name in (*node.input, *node.output)}
+        self.one_scale = {
+            self.source(name) for node in sums for name in (*node.input, *node.output)
+        }
         self.one_scale.add(self.result(convolutions[0]))
 
     def head(self, output: str) -> NodeProto:
@@ -82,7 +86,10 @@ class Network:
 
     def side(self, name: str) -> int:
         """Number of cells along a side of a tensor."""
-        node, side = self.maker[name], self.model.graph.input[0].type.tensor_type.shape.dim[3].dim_value
+        node, side = (
+            self.maker[name],
+            self.model.graph.input[0].type.tensor_type.shape.dim[3].dim_value,
+        )
         while True:
             if node.op_type in ("Resize", "MaxPool"):
                 side = 2 * side if node.op_type == "Resize" else side // 2
@@ -95,7 +102,9 @@ class Network:
         node = self.maker[name]
         while node.op_type != "Conv":
             node = self.maker[node.input[0]]
-        return next(each.dims[0] for each in self.model.graph.initializer if each.name == node.input[1])
+        return next(
+            each.dims[0] for each in self.model.graph.initializer if each.name == node.input[1]
+        )
 
 
 def scales(network: Network, found: dict[str, Channels]) -> dict[str, Tensor]:
@@ -163,7 +172,17 @@ class Graph:
         weight = self._op("Cast", rounded, to=TensorProto.INT8)
         step = self._op("Div", step, self._constant(coded.scale))
         zero, to_zero = (self._zero(each) for each in (x, coded))
-        inputs = (x.name, self._one, zero, weight, step, self._weight_zero, self._one, to_zero, bias)
+        inputs = (
+            x.name,
+            self._one,
+            zero,
+            weight,
+            step,
+            self._weight_zero,
+            self._one,
+            to_zero,
+            bias,
+        )
         return Tensor(self._op("QLinearConv", *inputs, like=node), coded.scale, coded.zero)
 
     def _relu(self, node: NodeProto) -> None:
@@ -176,7 +195,11 @@ class Graph:
 
     def _sum(self, node: NodeProto) -> None:
         if "sensor" in node.input:
-            self._float(node, "Add", *(self._made[name].name if name in self._made else name for name in node.input))
+            self._float(
+                node,
+                "Add",
+                *(self._made[name].name if name in self._made else name for name in node.input),
+            )
             return
         given = [self._made[name] for name in node.input]
         values = [self._op("DequantizeLinear", x.name, *self._scale_and_zero(x)) for x in given]
@@ -185,7 +208,9 @@ class Graph:
     def _joined(self, node: NodeProto) -> None:
         given = [self._made[name] for name in node.input]
         widths = [self._network.width(name) for name in node.input]
-        scale = np.concatenate([np.broadcast_to(x.scale, width) for x, width in zip(given, widths, strict=True)])
+        scale = np.concatenate(
+            [np.broadcast_to(x.scale, width) for x, width in zip(given, widths, strict=True)]
+        )
         as_float = node.output[0] in self._network.read_by_heads
         name = self._op("Concat", *(self._cast(x) if as_float else x.name for x in given), axis=1)
         self._made[node.output[0]] = Tensor(name, scale, None if as_float else 0)
@@ -207,7 +232,9 @@ class Graph:
         for shape in ((side * side, 1, channels), (side, 1, 2 * side * channels)):
             name = self._op("Reshape", name, self._constant(np.array(shape)))
             name = self._op("Concat", name, name, axis=1)
-        name = self._op("Reshape", name, self._constant(np.array((1, 2 * side, 2 * side, channels))))
+        name = self._op(
+            "Reshape", name, self._constant(np.array((1, 2 * side, 2 * side, channels)))
+        )
         name = self._op("Transpose", name, perm=[0, 3, 1, 2])
         self._made[node.output[0]] = Tensor(name, x.scale, x.zero)
 
@@ -237,7 +264,12 @@ class Graph:
         return self._op("Constant", value=numpy_helper.from_array(np.asarray(value)))
 
     def _op(
-        self, kind: str, *inputs: str, like: NodeProto | None = None, name: str | None = None, **attributes: object
+        self,
+        kind: str,
+        *inputs: str,
+        like: NodeProto | None = None,
+        name: str | None = None,
+        **attributes: object,
     ) -> str:
         name = name or f"{kind}_{len(self.nodes)}"
         made = helper.make_node(kind, inputs, [name], **attributes)

@@ -48,7 +48,10 @@ def make_shard(job: tuple[int, int]) -> tuple[bytes, str]:
         shear=np.stack([s.shear for s in made]),
     )
     seconds = time.perf_counter() - start
-    return file.getvalue(), f"{len(made)} sensors, {1e3 * seconds / (len(made) * frames):.0f} ms a frame"
+    return (
+        file.getvalue(),
+        f"{len(made)} sensors, {1e3 * seconds / (len(made) * frames):.0f} ms a frame",
+    )
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -58,8 +61,14 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--sensors", type=int, default=2400, help="of all kinds together")
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
     args = parser.parse_args(words)
-    paths = {k: args.out / f"shard_{k:05d}.npz" for k in shards(-(-args.sensors // SENSORS_PER_SHARD))}
-    jobs = {path: (FIRST_SEED + k * SENSORS_PER_SHARD, args.frames) for k, path in paths.items() if not path.exists()}
+    paths = {
+        k: args.out / f"shard_{k:05d}.npz" for k in shards(-(-args.sensors // SENSORS_PER_SHARD))
+    }
+    jobs = {
+        path: (FIRST_SEED + k * SENSORS_PER_SHARD, args.frames)
+        for k, path in paths.items()
+        if not path.exists()
+    }
     with command.folder_for(parser, args.out), workers() as pool:
         for path, (content, line) in zip(jobs, pool.map(make_shard, jobs.values()), strict=True):
             part = path.with_suffix(".part")

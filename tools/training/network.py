@@ -54,16 +54,22 @@ class U(nn.Module):
     of the arithmetic.
     """
 
-    def __init__(self, inputs: int, down: Sequence[Widths], up: Sequence[Widths], added: bool) -> None:
+    def __init__(
+        self, inputs: int, down: Sequence[Widths], up: Sequence[Widths], added: bool
+    ) -> None:
         super().__init__()
         skipped = [widths[1] for widths in down]
         below = [widths[1] for widths in (*up[1:], down[-1])]
-        self.down = nn.ModuleList(block(i, o) for i, o in zip((inputs, *skipped[:-1]), down, strict=True))
+        self.down = nn.ModuleList(
+            block(i, o) for i, o in zip((inputs, *skipped[:-1]), down, strict=True)
+        )
         self.up = nn.ModuleList(
             block(a if added else a + b, o) for a, b, o in zip(skipped[:-1], below, up, strict=True)
         )
         self.narrow = nn.ModuleList(
-            nn.Conv2d(b, a, 1, bias=False) for a, b in zip(skipped[:-1], below, strict=True) if added
+            nn.Conv2d(b, a, 1, bias=False)
+            for a, b in zip(skipped[:-1], below, strict=True)
+            if added
         )
 
     def levels(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
@@ -74,7 +80,9 @@ class U(nn.Module):
             skips.append(x)
         risen = [x]
         for k in reversed(range(len(self.up))):
-            x = functional.interpolate(self.narrow[k](x) if self.narrow else x, scale_factor=2.0, mode="nearest")
+            x = functional.interpolate(
+                self.narrow[k](x) if self.narrow else x, scale_factor=2.0, mode="nearest"
+            )
             x = self.up[k](skips[k] + x if self.narrow else torch.cat((skips[k], x), 1))
             risen.append(x)
         return skips, risen[::-1]
@@ -96,14 +104,18 @@ class Net(U):
         self.coarse_level = max(0, (cells // COARSE_CELLS).bit_length() - 1)
         cells >>= self.coarse_level
         self.coarse_fold = COARSE_CELLS // cells
-        coarse = [widths[1] for widths in (*up, down[-1])][self.coarse_level] + down[self.coarse_level][1]
+        coarse = [widths[1] for widths in (*up, down[-1])][self.coarse_level] + down[
+            self.coarse_level
+        ][1]
         self.foreign_head = nn.Conv2d(coarse, self.coarse_fold**2, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Run the network."""
         skips, risen = self.levels(x)
         coarse = torch.cat((risen[self.coarse_level], skips[self.coarse_level]), 1)
-        return self.head(risen[0]), functional.pixel_shuffle(self.foreign_head(coarse), self.coarse_fold)
+        return self.head(risen[0]), functional.pixel_shuffle(
+            self.foreign_head(coarse), self.coarse_fold
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +154,10 @@ class ShearNet(nn.Module):
         self.down = nn.ModuleList([block(2 * self.fold**2 + KNOWN, widths.front)])
         self.first = U(widths.front[1], widths.first_down, widths.first_up, added=False)
         self.second = U(
-            widths.first_up[0][1] + widths.first_down[0][1], widths.second_down, widths.second_up, added=True
+            widths.first_up[0][1] + widths.first_down[0][1],
+            widths.second_down,
+            widths.second_up,
+            added=True,
         )
         self.head = nn.Conv2d(widths.second_up[0][1], 2, 1)
 
@@ -166,7 +181,10 @@ def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
 
     def levels(way: str) -> tuple[Widths, ...]:
         count = sum(name.startswith(f"{way}.") and name.endswith(".0.weight") for name in weights)
-        return tuple(tuple(len(weights[f"{way}.{k}.{place}.weight"]) for place in (0, 3)) for k in range(count))
+        return tuple(
+            tuple(len(weights[f"{way}.{k}.{place}.weight"]) for place in (0, 3))
+            for k in range(count)
+        )
 
     if "first.down.0.0.weight" in weights:
         ways = ("first.down", "first.up", "second.down", "second.up")
@@ -179,11 +197,15 @@ def like(weights: dict[str, Tensor], fold: int, cells: int) -> Net | ShearNet:
 
 def averaged(state: dict[str, Any]) -> dict[str, Tensor]:
     """Return a checkpoint's averaged weights."""
-    return {k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")}
+    return {
+        k.removeprefix("module."): v for k, v in state["mean"].items() if k.startswith("module.")
+    }
 
 
 def trained(run: Path) -> tuple[Net | ShearNet, dict[str, Any]]:
     """Load the averaged network of a run's checkpoint, in evaluation mode, and the checkpoint."""
     state = torch.load(run / "checkpoint.pt", weights_only=True, map_location="cpu")
     arguments = state["arguments"]
-    return like(averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))).eval(), state
+    return like(
+        averaged(state), int(arguments["fold"]), int(arguments.get("cells", 112))
+    ).eval(), state

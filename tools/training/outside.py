@@ -24,7 +24,13 @@ from tools.training.varied import pin_outline, varied_print
 VIEWS = 3
 """Number of sensors that see each skin."""
 
-TACTIP_PART, PARTLY_PRINTED_PART, RINGED_PART, VIGNETTED_PART, PLATE_PART = 0.7, 0.5, 0.25, 0.25, 0.5
+TACTIP_PART, PARTLY_PRINTED_PART, RINGED_PART, VIGNETTED_PART, PLATE_PART = (
+    0.7,
+    0.5,
+    0.25,
+    0.25,
+    0.5,
+)
 SIZES = ((240, 320), (480, 640), (120, 160), (128, 128))
 SIZE_SHARES = (0.56, 0.12, 0.16, 0.16)
 
@@ -124,7 +130,9 @@ def camera(rng: np.random.Generator) -> Camera:
     def adaptive(image: U8) -> U8:
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         window = 2 * round(part / 2 * min(grey.shape)) + 3
-        white = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, window, offset)
+        white = cv2.adaptiveThreshold(
+            grey, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, window, offset
+        )
         return np.asarray(white if image.ndim == 2 else cv2.merge((white, white, white)), np.uint8)
 
     return adaptive
@@ -145,7 +153,9 @@ def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
 
     def inside(chart_mm: F64) -> np.typing.NDArray[np.bool_]:
         direction = chart_to_direction(chart_mm[:, 0], chart_mm[:, 1], model.skin_radius_mm)
-        return np.asarray((np.hypot(direction[:, 0], direction[:, 1]) < most) & (direction[:, 2] > 0))
+        return np.asarray(
+            (np.hypot(direction[:, 0], direction[:, 1]) < most) & (direction[:, 2] > 0)
+        )
 
     pins = inside(marks.pin_chart_mm)
     return Print(
@@ -171,8 +181,15 @@ def _leds(model: SensorModel, rng: np.random.Generator) -> np.typing.NDArray[np.
     """Draw LEDs in a ring at the rim of the visible circle, blurred by the camera's lens."""
     rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
     image = np.zeros(rows.shape, np.float32)
-    ring, size = float(rng.uniform(0.95, 1.15)), float(rng.uniform(0.015, 0.05)) * model.disc_radius_px
-    count, turn, grey = int(rng.integers(4, 17)), float(rng.uniform(0, 7)), float(rng.uniform(100, 255))
+    ring, size = (
+        float(rng.uniform(0.95, 1.15)),
+        float(rng.uniform(0.015, 0.05)) * model.disc_radius_px,
+    )
+    count, turn, grey = (
+        int(rng.integers(4, 17)),
+        float(rng.uniform(0, 7)),
+        float(rng.uniform(100, 255)),
+    )
     for angle in turn + np.arange(count) * (2 * math.pi / count):
         row = model.row_c + ring * model.disc_radius_px * math.sin(angle)
         col = model.col_c + ring * model.disc_radius_px * math.cos(angle)

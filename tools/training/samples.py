@@ -114,7 +114,10 @@ def training_model(seed: int) -> SensorModel:
         return model
     tip = draw(0.18, 0.32)
     return replace(
-        tactip(model), pin_length_pitches=draw(0.6, 1.4), pin_tip_radius_pitches=tip, pin_base_radius_pitches=tip
+        tactip(model),
+        pin_length_pitches=draw(0.6, 1.4),
+        pin_tip_radius_pitches=tip,
+        pin_base_radius_pitches=tip,
     )
 
 
@@ -140,14 +143,18 @@ def draw_unevenness(
         profile = PinProfile.waist(float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.75, 1.15)))
     if rng.random() < 0.5:
         steepest, longest = (82.0, 1.25) if wide else (78.0, 1.2)
-        marks = lattice_print(model, float(rng.uniform(55, steepest)), float(rng.uniform(1.0, longest)))
+        marks = lattice_print(
+            model, float(rng.uniform(55, steepest)), float(rng.uniform(1.0, longest))
+        )
     else:
         marks = print_features(model)
         angle, longer = rng.uniform(0, math.pi), rng.uniform(1.0, 1.13)
         axis = np.array((math.cos(angle), math.sin(angle)))
         stretch = (np.eye(2) + np.outer(axis, axis) * (longer - 1)) / math.sqrt(longer)
         marks = replace(
-            marks, marker_chart_mm=marks.marker_chart_mm @ stretch, pin_chart_mm=marks.pin_chart_mm @ stretch
+            marks,
+            marker_chart_mm=marks.marker_chart_mm @ stretch,
+            pin_chart_mm=marks.pin_chart_mm @ stretch,
         )
     return Unevenness(stiffness, hardening), Renderer(model, marks, profile)
 
@@ -172,14 +179,21 @@ class View:
 
     def white(self, image: U8) -> U8:
         """Compute the white of a frame in each cell, 0 to 255."""
-        return np.rint(255 * white_map(image, self.mask, self.seen.disc, self.pitch_px)).astype(np.uint8)
+        return np.rint(255 * white_map(image, self.mask, self.seen.disc, self.pitch_px)).astype(
+            np.uint8
+        )
 
 
-def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator, circle: float = 1.0) -> View | None:
+def calibrated(
+    renderer: Renderer, camera_of: Camera, rng: np.random.Generator, circle: float = 1.0
+) -> View | None:
     """Take a sensor's reference; None if it shows no pattern for calibration. `circle` comes from `found_circle`."""
     model = renderer.model
     clean = renderer.draw(undeformed(model.skin_radius_mm))
-    images = [camera_of(renderer.expose(clean, int(rng.integers(1 << 30)))) for _ in range(int(rng.choice((1, 3, 6))))]
+    images = [
+        camera_of(renderer.expose(clean, int(rng.integers(1 << 30))))
+        for _ in range(int(rng.choice((1, 3, 6))))
+    ]
     disc = replace(
         model.geometry.disc,
         row_c=model.row_c + float(rng.normal(0, 0.3)),
@@ -187,16 +201,22 @@ def calibrated(renderer: Renderer, camera_of: Camera, rng: np.random.Generator, 
         radius_px=model.disc_radius_px * circle * (1 + float(rng.normal(0, 0.003))),
     )
     try:
-        pitch_px = pattern.marker_pitch_px(pattern.mean_image([greyscale.to_grey(i) for i in images]), disc)
+        pitch_px = pattern.marker_pitch_px(
+            pattern.mean_image([greyscale.to_grey(i) for i in images]), disc
+        )
     except ConfigError:
         return None
     mask = disc_mask(model.image_height_px, model.image_width_px, disc).astype(np.uint8)
     reference = np.mean([white_map(i, mask, disc, pitch_px) for i in images], axis=0)
     seen = replace(model.geometry, disc=disc)
-    return View(renderer, camera_of, seen, mask, pitch_px, np.rint(255 * reference).astype(np.uint8))
+    return View(
+        renderer, camera_of, seen, mask, pitch_px, np.rint(255 * reference).astype(np.uint8)
+    )
 
 
-def samples_of(view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng: np.random.Generator) -> Samples:
+def samples_of(
+    view: View, skins: Iterable[tuple[Skin, tuple[Press, ...]]], rng: np.random.Generator
+) -> Samples:
     """Make the samples that a sensor takes of these skins."""
     model, disc = view.renderer.model, view.seen.disc
     maps, heights, contacts, shears = [], [], [], []
@@ -244,7 +264,9 @@ def usual_samples(seed: int, frames: int) -> list[Samples]:
     return [samples_of(view, skins, rng) for view in views if view is not None]
 
 
-def drawn_unevenness(model: SensorModel, seed: int, rng: np.random.Generator) -> tuple[Unevenness, Renderer]:
+def drawn_unevenness(
+    model: SensorModel, seed: int, rng: np.random.Generator
+) -> tuple[Unevenness, Renderer]:
     """Draw how a sensor of the seed's kind differs from its model."""
     if seed >= OTHER_FROM:
         renderer = Renderer(model, lattice_print(model, 90.0), CAP)
@@ -262,7 +284,9 @@ def outside_samples(seed: int, frames: int) -> list[Samples]:
     for k in range(VIEWS):
         own = np.random.default_rng((seed + k, 23))
         renderer = OutsideRenderer(printed(dome, seed + k), own)
-        views.append(calibrated(renderer, camera(rng), rng, found_circle(renderer.printed_part, own)))
+        views.append(
+            calibrated(renderer, camera(rng), rng, found_circle(renderer.printed_part, own))
+        )
     if not any(views):
         return []
     uneven, _ = draw_unevenness(dome, rng, wide=True, varied=True)
@@ -285,7 +309,9 @@ SHARDS_OF_A_KIND = 5000
 def shards(number: int) -> list[int]:
     """List the first shards to make; the first N of them hold the kinds in `SHARES`, whatever N."""
     places = [
-        ((k + 0.5) / share, SHARDS_OF_A_KIND * kind + k) for kind, share in enumerate(SHARES) for k in range(number)
+        ((k + 0.5) / share, SHARDS_OF_A_KIND * kind + k)
+        for kind, share in enumerate(SHARES)
+        for k in range(number)
     ]
     return [shard for _, shard in sorted(places)[:number]]
 

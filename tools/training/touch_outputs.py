@@ -39,7 +39,11 @@ def pooling(name: str) -> onnx.ModelProto:
         nodes += [
             helper.make_node("Cast", [tensor], [f"touch_float_{k}"], to=TensorProto.FLOAT),
             helper.make_node(
-                "AveragePool", [f"touch_float_{k}"], [f"touch_pooled_{k}"], kernel_shape=step, strides=step
+                "AveragePool",
+                [f"touch_float_{k}"],
+                [f"touch_pooled_{k}"],
+                kernel_shape=step,
+                strides=step,
             ),
             helper.make_node("Flatten", [f"touch_pooled_{k}"], [f"touch_flat_{k}"]),
         ]
@@ -55,7 +59,9 @@ def _sides(model: onnx.ModelProto, tensors: list[str]) -> list[int]:
     whole = onnx.ModelProto()
     whole.CopyFrom(model)
     whole.graph.output.extend(onnx.ValueInfoProto(name=name) for name in tensors)
-    session = onnxruntime.InferenceSession(whole.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        whole.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
     inputs = {one.name: np.zeros(one.shape, np.float32) for one in session.get_inputs()}
     sides = [answer.shape[-1] for answer in session.run(tensors, inputs)]
     if any(side % PLACES for side in sides):

@@ -47,7 +47,9 @@ def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:
     The inputs are frames as it takes them, which determine each normalisation's mean and variance.
     """
     frame, sensor = (_tensors(WEIGHTS / f"{name}{end}") for end in (".onnx", ".sensor.onnx"))
-    named = {key.removeprefix("rest."): frame.pop(key) for key in list(frame) if key.startswith("rest.")}
+    named = {
+        key.removeprefix("rest."): frame.pop(key) for key in list(frame) if key.startswith("rest.")
+    }
     net.load_state_dict(named, strict=False)
     first = torch.cat((frame.pop("weight"), sensor["weight"]), 1), sensor["bias"]
     rest = list(frame.values())
@@ -75,7 +77,9 @@ def _blocks(net: Net | ShearNet) -> list[nn.Module]:
 def _measured(net: Net | ShearNet, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
     """Set a normalisation's statistics to those of its convolution's output, and its scale and shift to undo them."""
     seen: list[Tensor] = []
-    hook = conv.register_forward_hook(lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1)))
+    hook = conv.register_forward_hook(
+        lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1))
+    )
     for x in inputs:
         net(x)
     hook.remove()
@@ -88,7 +92,8 @@ def _measured(net: Net | ShearNet, conv: nn.Module, norm: nn.Module, inputs: lis
 
 def _tensors(path: Path) -> dict[str, Tensor]:
     return {
-        each.name: torch.from_numpy(numpy_helper.to_array(each).copy()) for each in onnx.load(path).graph.initializer
+        each.name: torch.from_numpy(numpy_helper.to_array(each).copy())
+        for each in onnx.load(path).graph.initializer
     }
 
 
@@ -112,12 +117,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--net", choices=NETS, default="depth", help="what is trained")
     parser.add_argument("--steps", type=int, default=20_000)
-    parser.add_argument("--minutes", type=float, default=math.inf, help="ends the run before its last step")
+    parser.add_argument(
+        "--minutes", type=float, default=math.inf, help="ends the run before its last step"
+    )
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--widths", type=int, nargs="+", default=(16, 32, 48, 64))
     parser.add_argument("--fold", type=int, choices=(2, 4), default=2)
-    parser.add_argument("--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps")
+    parser.add_argument(
+        "--cells", type=int, choices=(56, 112), default=112, help="along a side of its maps"
+    )
     parser.add_argument("--shipped", metavar="NAME", help="the shipped weights of that name begin")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
@@ -137,7 +146,10 @@ class Run:
         self.drawn: dict[str, Tensor] = {}
         self.take_in()
         if len(self.data) < len(KINDS):
-            print(f"{args.data}: waiting for {VALIDATION_SHARDS + 1} shards of each kind (make_data.py)", flush=True)
+            print(
+                f"{args.data}: waiting for {VALIDATION_SHARDS + 1} shards of each kind (make_data.py)",
+                flush=True,
+            )
         while len(self.data) < len(KINDS):
             time.sleep(WAIT_S)
             self.take_in()
@@ -150,12 +162,20 @@ class Run:
         else:
             net = self._begin()
         self.net = net.to(args.device, memory_format=torch.channels_last)
-        self.mean = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True)
-        self.mean.n_averaged = self.mean.n_averaged.cpu()  # it is compared at every step, which should not wait
+        self.mean = AveragedModel(
+            self.net, multi_avg_fn=get_ema_multi_avg_fn(0.998), use_buffers=True
+        )
+        self.mean.n_averaged = (
+            self.mean.n_averaged.cpu()
+        )  # it is compared at every step, which should not wait
         self.rate = torch.zeros((), device=args.device)
         on_gpu = self.rate.is_cuda
         self.optimiser = torch.optim.AdamW(
-            self.net.parameters(), self.rate, weight_decay=1e-3, capturable=on_gpu, fused=on_gpu or None
+            self.net.parameters(),
+            self.rate,
+            weight_decay=1e-3,
+            capturable=on_gpu,
+            fused=on_gpu or None,
         )
         if state is not None:
             self.net.load_state_dict(state["net"])
@@ -185,7 +205,9 @@ class Run:
         counts, parts = rng.multinomial(args.batch, share / share.sum()), []
         for kind, count in zip(self.data, counts, strict=True):
             if count:
-                drawn = torch.rand(int(count), generator=generator, device=args.device, dtype=torch.float64)
+                drawn = torch.rand(
+                    int(count), generator=generator, device=args.device, dtype=torch.float64
+                )
                 index = torch.searchsorted(self.drawn[kind], drawn)
                 parts.append(batch(self.data[kind], index, int(rng.integers(8))))
         x, height, contact, shear = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
@@ -193,16 +215,26 @@ class Run:
         maps = other_looks(functional.pixel_shuffle(x[:, : 2 * fold**2], fold), generator)
         x = torch.cat((functional.pixel_unshuffle(maps, fold), x[:, 2 * fold**2 :]), 1)
         untrusted = tear(x, height, contact, fold, rng)
-        return x.contiguous(memory_format=torch.channels_last), height, contact, shear.contiguous(), untrusted
+        return (
+            x.contiguous(memory_format=torch.channels_last),
+            height,
+            contact,
+            shear.contiguous(),
+            untrusted,
+        )
 
     def done(self) -> float:
         """How much of the run is done, in steps or in time, 0 to 1."""
-        return max(self.step / self.args.steps, (time.time() - self.began) / (60 * self.args.minutes))
+        return max(
+            self.step / self.args.steps, (time.time() - self.began) / (60 * self.args.minutes)
+        )
 
     def take_step(self) -> Tensor:
         """Take one step and return the loss."""
         warm = min(1.0, (self.step + 1) / WARM_STEPS)
-        self.rate.fill_(self.args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * min(self.done(), 1.0))) + 1e-6)
+        self.rate.fill_(
+            self.args.rate * warm * (0.5 + 0.5 * math.cos(math.pi * min(self.done(), 1.0))) + 1e-6
+        )
         loss = self.learn(self.batch())
         self.mean.update_parameters(self.net)
         self.step += 1
@@ -224,7 +256,10 @@ class Run:
         row = {"step": self.step, "loss": round(loss, 4)}
         averaged = copy.deepcopy(self.mean.module).eval()
         with torch.no_grad():
-            row |= {kind: FIGURES[self.args.net](averaged, frames) for kind, frames in self.check.items()}
+            row |= {
+                kind: FIGURES[self.args.net](averaged, frames)
+                for kind, frames in self.check.items()
+            }
         row |= {"s_per_step": round(s_per_step, 4)}
         print(json.dumps(row), flush=True)
         with (self.args.out / "figures.jsonl").open("a") as file:
@@ -253,14 +288,20 @@ class Run:
             if len(fresh) < (NEW_SHARDS if known else VALIDATION_SHARDS + 1):
                 continue
             if not known:
-                self.check[kind] = load(paths[:VALIDATION_SHARDS], args.fold, args.cells, args.device)
+                self.check[kind] = load(
+                    paths[:VALIDATION_SHARDS], args.fold, args.cells, args.device
+                )
             more = [path for path in fresh if path not in paths[:VALIDATION_SHARDS]]
             loaded = load(more, args.fold, args.cells, args.device)
             self.data[kind] = joined([self.data[kind], loaded]) if known else loaded
             self.shards[kind] = [*known, *fresh]
             # Users press their own sensors deep and drag them far, so all these frames are equally likely.
             kept = self.data[kind]
-            total = (torch.ones(len(kept.frame)) if kind == "outside" else kept.chances()).double().cumsum(0)
+            total = (
+                (torch.ones(len(kept.frame)) if kind == "outside" else kept.chances())
+                .double()
+                .cumsum(0)
+            )
             self.drawn[kind] = (total / total[-1]).to(args.device)
 
 
@@ -309,7 +350,10 @@ def main() -> None:
     torch.backends.cudnn.benchmark = True
     args.out.mkdir(parents=True, exist_ok=True)
     run = Run(args)
-    print(f"step {run.step}: frames { ({kind: len(d.frame) for kind, d in run.data.items()}) }", flush=True)
+    print(
+        f"step {run.step}: frames { ({kind: len(d.frame) for kind, d in run.data.items()}) }",
+        flush=True,
+    )
     start, total, since = time.perf_counter(), torch.zeros((), device=args.device), run.step
 
     def report() -> None:

@@ -48,19 +48,31 @@ def varied_print(model: SensorModel, rng: np.random.Generator) -> Print:
         side = np.arange(-2 * math.ceil(reach / p) - 2, 2 * math.ceil(reach / p) + 3)
         i, j = np.meshgrid(side, side)
         angle, ratio = math.radians(float(rng.uniform(50, 80))), float(rng.uniform(1, 1.3))
-        cell = p * np.array(((1, 0), (ratio * math.cos(angle), ratio * math.sin(angle)))) / math.sqrt(ratio)
+        cell = (
+            p
+            * np.array(((1, 0), (ratio * math.cos(angle), ratio * math.sin(angle))))
+            / math.sqrt(ratio)
+        )
         pins = np.stack((i.ravel(), j.ravel()), axis=1) @ cell
         pins = pins[np.linalg.norm(pins, axis=1) < reach]
     else:
-        pins = _apart(_polar(reach * np.sqrt(rng.random(count)), rng.uniform(0, 2 * math.pi, count)), reach)
+        pins = _apart(
+            _polar(reach * np.sqrt(rng.random(count)), rng.uniform(0, 2 * math.pi, count)), reach
+        )
     turn = math.radians(model.lattice_rotation_deg)
     axes = np.array(((math.cos(turn), math.sin(turn)), (-math.sin(turn), math.cos(turn))))
     size = float(rng.uniform(0, 0.25)) * p
-    waves = rng.normal(0, 1 / (4 * p), (4, 2)), rng.uniform(0, 2 * math.pi, 4), rng.normal(0, size / 2, (4, 2))
+    waves = (
+        rng.normal(0, 1 / (4 * p), (4, 2)),
+        rng.uniform(0, 2 * math.pi, 4),
+        rng.normal(0, size / 2, (4, 2)),
+    )
 
     def bent(points: F64) -> F64:
         points = points @ axes
-        return np.asarray(points + np.sin(points @ waves[0].T * (2 * math.pi) + waves[1]) @ waves[2])
+        return np.asarray(
+            points + np.sin(points @ waves[0].T * (2 * math.pi) + waves[1]) @ waves[2]
+        )
 
     pins = bent(pins)
     return print_at(model, pins, _between(pins, halves=bool(rng.random() < 0.5)))
@@ -72,7 +84,9 @@ def pin_outline(rng: np.random.Generator) -> PinProfile:
     rings = []
     for height in heights:
         part = float(rng.uniform(0.55, 1.3))
-        if rng.random() < 0.3:  # a collar or a neck: a radius of the base or the tip at another height
+        if (
+            rng.random() < 0.3
+        ):  # a collar or a neck: a radius of the base or the tip at another height
             of_tip = float(rng.random() < 0.5)
             rings.append((float(height), part * (1 - of_tip), part * of_tip))
         else:
@@ -108,5 +122,7 @@ def _polar(rho: F64, angle: F64) -> F64:
 
 def _ring(rho: float, pitch: float, rng: np.random.Generator) -> F64:
     count = max(1, round(2 * math.pi * rho / pitch))
-    angles: F64 = np.arange(count, dtype=float) * (2 * math.pi / count) + rng.uniform(0, 2 * math.pi)
+    angles: F64 = np.arange(count, dtype=float) * (2 * math.pi / count) + rng.uniform(
+        0, 2 * math.pi
+    )
     return _polar(np.full(count, rho), angles)

@@ -24,18 +24,40 @@ POLL_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
     for name, port, text in (
-        ("foxglove", 8765, "serve live data to Foxglove and Lichtblick over their WebSocket protocol"),
+        (
+            "foxglove",
+            8765,
+            "serve live data to Foxglove and Lichtblick over their WebSocket protocol",
+        ),
         ("prometheus", 9469, "serve every sensor's health as Prometheus metrics on /metrics"),
     ):
         kind = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         broker = "the broker's address (default: localhost:1883)"
-        add_option(kind, "--broker", "HOST[:PORT]", broker, address(1883), default=("localhost", 1883))
-        add_option(kind, "--sensor", "ID", "serve only these sensors (default: all)", str, nargs="+", default=[])
+        add_option(
+            kind, "--broker", "HOST[:PORT]", broker, address(1883), default=("localhost", 1883)
+        )
+        add_option(
+            kind,
+            "--sensor",
+            "ID",
+            "serve only these sensors (default: all)",
+            str,
+            nargs="+",
+            default=[],
+        )
         listen = f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, this machine only)"
-        add_option(kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port))
+        add_option(
+            kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port)
+        )
         add_option(kind, "--username", "NAME", "user name for the broker", str)
         add_option(kind, "--password-file", "FILE", "file whose first line is the broker password")
-        add_option(kind, "--ca-file", "FILE", "PEM file with the CA certificate, for TLS to the broker", str)
+        add_option(
+            kind,
+            "--ca-file",
+            "FILE",
+            "PEM file with the CA certificate, for TLS to the broker",
+            str,
+        )
         add_verbosity(kind)
 
 
@@ -44,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--password-file: found no --username, expected both options")
     host, port = args.broker
     password = password_in(args.password_file, "--password-file") if args.password_file else None
-    broker = BrokerAddress(host=host, port=port, username=args.username, password=password, tls_ca=args.ca_file)
+    broker = BrokerAddress(
+        host=host, port=port, username=args.username, password=password, tls_ca=args.ca_file
+    )
     start_logging(args.log_level)
     {"foxglove": _foxglove, "prometheus": _prometheus}[args.kind](args, broker)
     return 0
@@ -91,19 +115,28 @@ def _listening(args: argparse.Namespace) -> Iterator[None]:
     except OSError as error:
         host, port = args.listen
         expected = "expected a free port on one of this machine's addresses"
-        raise ConfigError(f"--listen {host}:{port}: {error.strerror or error}, {expected}") from None
+        raise ConfigError(
+            f"--listen {host}:{port}: {error.strerror or error}, {expected}"
+        ) from None
 
 
-def _serve(args: argparse.Namespace, url: str, follower: Follower, poll: Callable[[], None]) -> None:
+def _serve(
+    args: argparse.Namespace, url: str, follower: Follower, poll: Callable[[], None]
+) -> None:
     ended: list[int] = []
     crashes: list[BaseException] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: ended.append(number))
-    threading.excepthook = lambda hook: crashes.append(hook.exc_value or RuntimeError(hook.exc_type.__name__))
+    threading.excepthook = lambda hook: crashes.append(
+        hook.exc_value or RuntimeError(hook.exc_type.__name__)
+    )
     host, port = args.broker
     print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
     if not is_loopback(args.listen[0]):
-        print(f"{args.kind}: no encryption and no password: anyone on the network can read it", file=sys.stderr)
+        print(
+            f"{args.kind}: no encryption and no password: anyone on the network can read it",
+            file=sys.stderr,
+        )
     follower.start()
     try:
         while not ended:

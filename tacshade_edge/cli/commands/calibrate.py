@@ -27,7 +27,13 @@ from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import LabelledFrame, TouchResult, learn_touch, load_networks, report_lines
+from tacshade_edge.inference.network import (
+    LabelledFrame,
+    TouchResult,
+    learn_touch,
+    load_networks,
+    report_lines,
+)
 from tacshade_edge.quoting import counted
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.render import project
@@ -45,23 +51,49 @@ if TYPE_CHECKING:
 
 _SHOWN = 3
 # Options that have no effect with ``--rezero``, and what that keeps.
-_WITH_REZERO = dict.fromkeys(("presses", "indenters", "fit"), "the fit to the presses") | {"labels": "the touch model"}
+_WITH_REZERO = dict.fromkeys(("presses", "indenters", "fit"), "the fit to the presses") | {
+    "labels": "the touch model"
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group(required=True)
-    add_option(kind, "--sensor", "SENSOR.yaml", "file that describes the sensor's dimensions and camera")
+    add_option(
+        kind, "--sensor", "SENSOR.yaml", "file that describes the sensor's dimensions and camera"
+    )
     add_option(kind, "--rezero", "CAL.npz", "replace only the reference in this calibration file")
     text = "5 or more images of the untouched skin, or folders"
     add_option(parser, "--reference", "IMG", text, required=True, nargs="+")
-    add_option(parser, "--presses", "PRESSES.csv", "calibrate depth in mm with the known presses in this table")
-    add_option(parser, "--indenters", "INDENTERS.yaml", "the indenters in PRESSES.csv that are no balls")
-    add_flag(parser, "--depth-from-touch", "treat depth_mm in PRESSES.csv as travel from first touch")
-    add_flag(parser, "--fit", "also train the networks on a simulated twin: minutes, with the extra `fit`")
-    add_option(parser, "--labels", "LABELS.csv", "learn quantities from the labelled frames in this table")
+    add_option(
+        parser,
+        "--presses",
+        "PRESSES.csv",
+        "calibrate depth in mm with the known presses in this table",
+    )
+    add_option(
+        parser, "--indenters", "INDENTERS.yaml", "the indenters in PRESSES.csv that are no balls"
+    )
+    add_flag(
+        parser, "--depth-from-touch", "treat depth_mm in PRESSES.csv as travel from first touch"
+    )
+    add_flag(
+        parser,
+        "--fit",
+        "also train the networks on a simulated twin: minutes, with the extra `fit`",
+    )
+    add_option(
+        parser, "--labels", "LABELS.csv", "learn quantities from the labelled frames in this table"
+    )
     add_option(parser, "--out", "CAL.npz", "calibration file to write", required=True)
-    add_option(parser, "--plot", "FILE.png", "draw what was found on the reference, or only its axes if it is refused")
-    add_flag(parser, "--allow-loaded-reference", "only warn if the skin seems pressed in a reference")
+    add_option(
+        parser,
+        "--plot",
+        "FILE.png",
+        "draw what was found on the reference, or only its axes if it is refused",
+    )
+    add_flag(
+        parser, "--allow-loaded-reference", "only warn if the skin seems pressed in a reference"
+    )
     add_flag(parser, "--json", "print the fitted values as JSON")
 
 
@@ -83,14 +115,21 @@ def run(args: argparse.Namespace) -> int:
     presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
     names = list(map(str, args.reference))
     try:
-        result = calibrate(sensor, references, presses, args.allow_loaded_reference, load_networks(), names)
+        result = calibrate(
+            sensor, references, presses, args.allow_loaded_reference, load_networks(), names
+        )
     except ConfigError as error:
-        paths = {"SENSOR.yaml": str(args.sensor), "PRESSES.csv": str(args.presses)}  # errors have generic names
+        paths = {
+            "SENSOR.yaml": str(args.sensor),
+            "PRESSES.csv": str(args.presses),
+        }  # errors have generic names
         pattern = r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )"
         if args.plot:
             guess = error.guess if isinstance(error, CircleNotFoundError) else None
             _plot(args.plot, reference_picture(to_grey(references[0]), guess=guess))
-        raise ConfigError(re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others) from None
+        raise ConfigError(
+            re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others
+        ) from None
     calibration, fitted = result.calibration, None
     if args.plot:
         places = places_px(calibration.geometry, result.presses)
@@ -107,7 +146,11 @@ def run(args: argparse.Namespace) -> int:
     calibration = replace(calibration, touch=learnt)
     stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
     quality = result.quality
-    more: dict[str, Any] = {"verdict": quality.grade, "verdict_line": quality.line, "to_do": list(quality.advice)}
+    more: dict[str, Any] = {
+        "verdict": quality.grade,
+        "verdict_line": quality.line,
+        "to_do": list(quality.advice),
+    }
     more |= (_fit_report(fitted) if fitted else {}) | (_touch_report(touch) if touch else {})
     _print(args, stored, (*notes, *result.warnings, *_touch_warnings(touch)), more)
     if not args.json:
@@ -131,13 +174,17 @@ def _plot(path: Path, picture: U8) -> None:
 
 def places_px(geometry: Geometry, presses: Sequence[KnownPress]) -> list[list[float]]:
     """Column and row of each stated place on the undeformed skin."""
-    stated = np.array([(one.x_mm, one.y_mm) for one in presses if one.x_mm is not None], np.float64).reshape(-1, 2)
+    stated = np.array(
+        [(one.x_mm, one.y_mm) for one in presses if one.x_mm is not None], np.float64
+    ).reshape(-1, 2)
     z_mm = np.sqrt(np.maximum(geometry.skin_radius_mm**2 - (stated * stated).sum(axis=1), 0))
     found: list[list[float]] = project(geometry, np.column_stack((stated, z_mm))).tolist()
     return found
 
 
-def _presses(args: argparse.Namespace, skin_radius_mm: float) -> tuple[Sequence[KnownPress], tuple[str, ...]]:
+def _presses(
+    args: argparse.Namespace, skin_radius_mm: float
+) -> tuple[Sequence[KnownPress], tuple[str, ...]]:
     """Return the presses of the table, with depths for travels if so asked, and remarks on the table."""
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters)
@@ -162,7 +209,9 @@ def _rezero(args: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
-    found = camera.drift(camera.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey)
+    found = camera.drift(
+        camera.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey
+    )
     changes = (camera.shift_reason(found, disc), found.light_reason)
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     names = {"moved_px": 2, "light": 3, "contrast": 3}
@@ -189,19 +238,31 @@ def _size(image: U8) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"
 
 
-def _print(args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]) -> None:
+def _print(
+    args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]
+) -> None:
     disc, geometry = stored.geometry.disc, stored.geometry
-    figures = {"row_c": disc.row_c, "col_c": disc.col_c, "radius_px": disc.radius_px, "mm_per_px": geometry.mm_per_px}
+    figures = {
+        "row_c": disc.row_c,
+        "col_c": disc.col_c,
+        "radius_px": disc.radius_px,
+        "mm_per_px": geometry.mm_per_px,
+    }
     figures |= {"f_px": geometry.f_px, "pitch_px": stored.pitch_px, "noise_grey": stored.noise_grey}
     figures |= {"alpha": stored.alpha, **calibration_file.fit_figures(stored.fit)}
-    report: dict[str, Any] = {"crc32": f"{stored.crc32:08x}", **{key: round(figures[key], 6) for key in figures}}
+    report: dict[str, Any] = {
+        "crc32": f"{stored.crc32:08x}",
+        **{key: round(figures[key], 6) for key in figures},
+    }
     if args.json:
         print(json.dumps(report | more | {"warnings": list(warnings)}, indent=2))
         return
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     print(f"{args.out}: calibration {report.pop('crc32')}")
-    for key, value in (report | {key: value for key, value in more.items() if isinstance(value, float)}).items():
+    for key, value in (
+        report | {key: value for key, value in more.items() if isinstance(value, float)}
+    ).items():
         print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
 
 
@@ -212,12 +273,18 @@ def _fit_report(fitted: FitResult) -> dict[str, Any]:
     return {"fitted": reports, "fit_found": list(fitted.found), "fit_to_do": list(fitted.advice)}
 
 
-def _learn(calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]) -> list[TouchResult]:
+def _learn(
+    calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]
+) -> list[TouchResult]:
     """Learn a touch model per profile. Raises ConfigError for an unreadable image or too few rows of every quantity."""
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
-        found = ", ".join(f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count)
-        raise ConfigError(f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity")
+        found = ", ".join(
+            f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count
+        )
+        raise ConfigError(
+            f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity"
+        )
     size = f"{calibration.image_width_px}x{calibration.image_height_px}"
     results, progress = [], Progress()
     for profile in PROFILES.values():
@@ -226,7 +293,9 @@ def _learn(calibration: Calibration, table: Path, labelled: Sequence[LabelledIma
             results.append(learn_touch(calibration, profile, frames))
     progress.end()
     if not any(one.learnt.reports for one in results):
-        raise ConfigError(f"{table}: cannot learn any quantity: {'; '.join(_touch_warnings(results[:1]))}")
+        raise ConfigError(
+            f"{table}: cannot learn any quantity: {'; '.join(_touch_warnings(results[:1]))}"
+        )
     return results
 
 
@@ -239,7 +308,9 @@ def _frames(
         except DecodeError as error:
             raise ConfigError(f"{row.where}: image: {error}") from None
         if _size(image) != size:
-            raise ConfigError(f"{row.where}: image: {row.path}: found {_size(image)} px, expected {size} px")
+            raise ConfigError(
+                f"{row.where}: image: {row.path}: found {_size(image)} px, expected {size} px"
+            )
         yield LabelledFrame(row.where, image, row.known, row.group)
         report(done, len(labelled))
 
@@ -249,11 +320,15 @@ def _touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
     lines = []
     for one in results:
         if one.left_out:
-            shown = "; ".join(one.left_out[:_SHOWN]) + ("; ..." if len(one.left_out) > _SHOWN else "")
+            shown = "; ".join(one.left_out[:_SHOWN]) + (
+                "; ..." if len(one.left_out) > _SHOWN else ""
+            )
             lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
         for name, (rows, groups) in one.too_few.items():
             found = f"found {rows} usable rows in {groups} groups"
-            expected = f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups, of different values"
+            expected = (
+                f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups, of different values"
+            )
             lines.append(f"{one.profile}: {name}: {found}, {expected}; left out")
     return tuple(lines)
 
@@ -264,5 +339,9 @@ def _touch_report(results: Sequence[TouchResult]) -> dict[str, Any]:
         reports = {each.name: asdict(each) for each in one.learnt.reports}
         for report in reports.values():
             report["contradicting"] = [one.names[row] for row in report["contradicting"]]
-        touch[one.profile] = {"frames": len(one.names), "left_out": list(one.left_out), "quantities": reports}
+        touch[one.profile] = {
+            "frames": len(one.names),
+            "left_out": list(one.left_out),
+            "quantities": reports,
+        }
     return {"touch": touch}

@@ -46,7 +46,10 @@ _QUESTIONS = {
     "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
 }
 _MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
-_CAPTURING = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: tacshade-edge capture is taking references and presses")
+_CAPTURING = Reason(
+    ReasonCode.NOT_CALIBRATED,
+    "not calibrated: tacshade-edge capture is taking references and presses",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,14 +89,21 @@ def run(args: argparse.Namespace) -> int:
         sensor = _sensor(folder, terminal)
         indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
         plan = list(read_plan(args.plan, indenters, sensor.skin_radius_mm)) if args.plan else []
-        with _camera(folder, source, serial, terminal, sensor) as live, _robot_poses(serial) as pose_at:
+        with (
+            _camera(folder, source, serial, terminal, sensor) as live,
+            _robot_poses(serial) as pose_at,
+        ):
             if args.labels is None:
                 places = RobotPlaces(sensor, pose_at) if pose_at else None
                 Session(folder, sensor, live, terminal, plan, indenters, places).run()
             else:
                 labels = RobotLabels(sensor, pose_at) if pose_at else None
                 no_scale = contextlib.nullcontext()
-                reader = no_scale if args.scale is None else contextlib.closing(Scale(scale_port(args.scale)))
+                reader = (
+                    no_scale
+                    if args.scale is None
+                    else contextlib.closing(Scale(scale_port(args.scale)))
+                )
                 with reader as scale:
                     if scale is not None:
                         scale.open()
@@ -116,12 +126,17 @@ def _camera(
     folder: CaptureFolder, chosen: Source, serial: Serial | None, terminal: Terminal, sensor: Sensor
 ) -> Iterator[Live]:
     """Open the camera and its page; write the daemon's settings if there are none."""
-    with contextlib.closing(sources.make_source(chosen)) as source, contextlib.closing(Page()) as page:
+    with (
+        contextlib.closing(sources.make_source(chosen)) as source,
+        contextlib.closing(Page()) as page,
+    ):
         source.open()
         described = source.describe()
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
         if described.get("exposure_lock") == Lock.AUTOMATIC:
-            terminal.say("warning: the driver does not lock the exposure, and changes in exposure look like touches")
+            terminal.say(
+                "warning: the driver does not lock the exposure, and changes in exposure look like touches"
+            )
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
         terminal.say(f"live picture: {page.address}")
@@ -166,7 +181,9 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         source = document.settings.source
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             found = f"found another source in {document.where('source')}"
-            raise ConfigError(f"--camera {device}: {found}, expected this camera; edit or delete that file")
+            raise ConfigError(
+                f"--camera {device}: {found}, expected this camera; edit or delete that file"
+            )
         return source, document.settings.serial
     if device is None:
         machine = Machine()
@@ -176,7 +193,9 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         if len(cameras) != 1:
             fix = f"; {CSI_FIX}" if not cameras and has_csi_receiver(machine) else ""
             found = ", ".join(cameras) or "no camera"
-            raise ConfigError(f"found {found}, expected one, or --camera DEVICE, or --config with a source{fix}")
+            raise ConfigError(
+                f"found {found}, expected one, or --camera DEVICE, or --config with a source{fix}"
+            )
         device = cameras[0]
     v4l2_node.check_node(device)
     offered = v4l2_node.formats(device)
@@ -194,8 +213,16 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
         chosen = msgspec.structs.replace(chosen, exposure=round(value))
     found = "".join(f"#   {name}: {value}\n" for name, value in described.items())
-    keys = {"calibration": _CALIBRATION, "source": msgspec.to_builtins(chosen), "recorder": {"folder": "recordings"}}
-    keys |= {"serial": msgspec.to_builtins(serial), "stitching": {"folder": "sessions"}} if serial else {}
+    keys = {
+        "calibration": _CALIBRATION,
+        "source": msgspec.to_builtins(chosen),
+        "recorder": {"folder": "recordings"},
+    }
+    keys |= (
+        {"serial": msgspec.to_builtins(serial), "stitching": {"folder": "sessions"}}
+        if serial
+        else {}
+    )
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
     return f"# Settings for `tacshade-edge run` and to continue this capture.\n{text}# As the camera reported:\n{found}"
 
@@ -221,7 +248,9 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
 def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> None:
     """Print the commands that come next, for the user to copy."""
     at = shlex.quote(str(folder.path))
-    words = f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
+    words = (
+        f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
+    )
     if not list(folder.path.glob(REFERENCES)):
         terminal.say(f"no references yet; to take them, run: tacshade-edge capture {at}")
         if not labels:

@@ -13,7 +13,14 @@ from tacshade_edge.settings import file_schema, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "file", "FILE", "settings file (default: %(default)s)", nargs="?", default=DEFAULT_CONFIG)
+    add_option(
+        parser,
+        "file",
+        "FILE",
+        "settings file (default: %(default)s)",
+        nargs="?",
+        default=DEFAULT_CONFIG,
+    )
     add_flag(parser, "--schema", "print the JSON Schema of settings files")
 
 
@@ -23,7 +30,12 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
-    checks = (sources.check_source, sources.check_serial, links.check_link, calibrations.find_calibration)
+    checks = (
+        sources.check_source,
+        sources.check_serial,
+        links.check_link,
+        calibrations.find_calibration,
+    )
     for document in documents:
         for check in checks:
             try:

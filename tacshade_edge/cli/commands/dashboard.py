@@ -31,15 +31,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbosity(parser)
     text = "the broker's MQTT address (default: localhost:1883)"
     add_option(parser, "--broker", "HOST:PORT", text, address(), default=("localhost", 1883))
-    add_option(parser, "--http", "PORT", "port of the page; 0: any free one (default: 8080)", PORT, default=8080)
+    add_option(
+        parser,
+        "--http",
+        "PORT",
+        "port of the page; 0: any free one (default: 8080)",
+        PORT,
+        default=8080,
+    )
     text = "address to listen on (default: this machine only); any other is read-only"
     add_option(parser, "--host", "ADDRESS", text, str, default="127.0.0.1")
-    add_option(parser, "--token-file", "FILE", "file with the token that opens the page; made if it is missing")
+    add_option(
+        parser,
+        "--token-file",
+        "FILE",
+        "file with the token that opens the page; made if it is missing",
+    )
     add_flag(parser, "--allow-control", "also let anyone with the token command the sensors")
-    add_option(parser, "--recordings", "DIR", "let the page play, download and delete the recordings here")
-    add_option(parser, "--certificate", "FILE", "serve the page over TLS with the certificate in this PEM file")
-    add_option(parser, "--key", "FILE", "PEM file with the certificate's private key (default: the --certificate file)")
-    add_option(parser, "--ca-file", "FILE", "PEM file with the CA certificate, for a TLS connection to the broker")
+    add_option(
+        parser, "--recordings", "DIR", "let the page play, download and delete the recordings here"
+    )
+    add_option(
+        parser,
+        "--certificate",
+        "FILE",
+        "serve the page over TLS with the certificate in this PEM file",
+    )
+    add_option(
+        parser,
+        "--key",
+        "FILE",
+        "PEM file with the certificate's private key (default: the --certificate file)",
+    )
+    add_option(
+        parser,
+        "--ca-file",
+        "FILE",
+        "PEM file with the CA certificate, for a TLS connection to the broker",
+    )
     text = "address of the page at a proxy: https://hand.example.org"
     add_option(parser, "--origin", "URL", text, _origin, action="append", default=[])
 
@@ -53,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
     if args.recordings is not None and not args.recordings.is_dir():
-        raise ConfigError(f"--recordings {args.recordings}: found no folder, expected a folder with recordings")
+        raise ConfigError(
+            f"--recordings {args.recordings}: found no folder, expected a folder with recordings"
+        )
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
@@ -77,7 +108,9 @@ def run(args: argparse.Namespace) -> int:
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         access = {"tls": tls, "token": token, "read_only": read_only, "recordings": args.recordings}
-        await server.run(broker, args.host, args.http, frozenset(args.origin), listening, stop, **access)
+        await server.run(
+            broker, args.host, args.http, frozenset(args.origin), listening, stop, **access
+        )
 
     asyncio.run(serve())
     return 0
@@ -88,13 +121,22 @@ def _tls(ca_file: Path) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=ca_file)
     except (OSError, ssl.SSLError) as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"--ca-file {ca_file}: {reason}, expected a PEM file with certificates") from error
+        raise ConfigError(
+            f"--ca-file {ca_file}: {reason}, expected a PEM file with certificates"
+        ) from error
 
 
 def _origin(text: str) -> str:
     parts = urlsplit(text)
-    if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected a page's address such as https://hand.example.org")
+    if (
+        parts.scheme not in ("http", "https")
+        or not parts.netloc
+        or parts.path.strip("/")
+        or parts.query
+    ):
+        raise argparse.ArgumentTypeError(
+            f"found {text!r}, expected a page's address such as https://hand.example.org"
+        )
     return f"{parts.scheme}://{parts.netloc}".lower()
 
 
@@ -117,7 +159,9 @@ def read_token(path: Path) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise ConfigError(f"--token-file {path}: {error.strerror}, expected a readable file with the token") from None
+        raise ConfigError(
+            f"--token-file {path}: {error.strerror}, expected a readable file with the token"
+        ) from None
     if not _TOKEN.fullmatch(text):
         expected = "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'"
         raise ConfigError(f"--token-file {path}: found no valid token, {expected}")
@@ -132,7 +176,9 @@ def make_token(path: Path | None) -> str:
             with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as stream:
                 stream.write(f"{token}\n")
         except OSError as error:
-            raise ConfigError(f"--token-file {path}: {error.strerror}, expected a path of a file to make") from None
+            raise ConfigError(
+                f"--token-file {path}: {error.strerror}, expected a path of a file to make"
+            ) from None
     return token
 
 

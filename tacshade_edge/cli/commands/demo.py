@@ -81,7 +81,16 @@ def run(args: argparse.Namespace) -> int:
         mqtt = free_port()
         broker = start("broker", broker_command(folder, mqtt))
         (folder / "recordings").mkdir()
-        page = [*me, "dashboard", "--broker", f"127.0.0.1:{mqtt}", "--http", str(http), "--host", host]
+        page = [
+            *me,
+            "dashboard",
+            "--broker",
+            f"127.0.0.1:{mqtt}",
+            "--http",
+            str(http),
+            "--host",
+            host,
+        ]
         page += ["--recordings", str(folder / "recordings")]
         path = f"#hand/{demo_hand.HAND_ID}" if args.hand else ""
         if not is_loopback(host):
@@ -106,12 +115,20 @@ def run(args: argparse.Namespace) -> int:
         name = socket.gethostname() if host in ANY else host
         print(f"{what}: open http://{in_url(name)}:{http}/{path}", flush=True)
         if not is_loopback(host):
-            print("No encryption: others on the network can read the address and the page.", flush=True)
-        print(f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.", flush=True)
+            print(
+                "No encryption: others on the network can read the address and the page.",
+                flush=True,
+            )
+        print(
+            f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.",
+            flush=True,
+        )
         if args.hand:
             other, period_s = demo_hand.play(folder), demo_hand.STEP_S
         else:
-            other = touchpad.hand(folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)]))
+            other = touchpad.hand(
+                folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)])
+            )
             period_s = CHECK_PERIOD_S
         stack.callback(other.close)
         deadline_s = time.monotonic() + args.seconds

@@ -11,7 +11,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.shared.options import add_config, add_flag, add_option, add_profile, add_sensor
+from tacshade_edge.cli.shared.options import (
+    add_config,
+    add_flag,
+    add_option,
+    add_profile,
+    add_sensor,
+)
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
@@ -32,20 +38,38 @@ _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_sensor(parser)
-    add_option(parser, "--bundle", "FILE", "write a zip file of diagnostics that you can send when you ask for help")
+    add_option(
+        parser,
+        "--bundle",
+        "FILE",
+        "write a zip file of diagnostics that you can send when you ask for help",
+    )
     add_flag(parser, "--with-frame", "with --bundle: add a picture from the camera")
-    add_flag(parser, "--json", "print {check, state, found, fix}, or each picture's figures, as JSON")
-    add_option(parser, "--calibration", "CAL.npz", "with images: instead of the settings' calibration")
+    add_flag(
+        parser, "--json", "print {check, state, found, fix}, or each picture's figures, as JSON"
+    )
+    add_option(
+        parser, "--calibration", "CAL.npz", "with images: instead of the settings' calibration"
+    )
     add_profile(parser)
-    add_option(parser, "images", "IMG", "show only which judge refuses each of these images, and why", nargs="*")
+    add_option(
+        parser,
+        "images",
+        "IMG",
+        "show only which judge refuses each of these images, and why",
+        nargs="*",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; return 78 for bad settings and 1 for any other fault."""
     mistakes = {
-        "--with-frame: found no --bundle FILE, expected both": args.with_frame and args.bundle is None,
-        "--bundle: found images to judge as well, expected one of the two": args.images and args.bundle is not None,
-        "--calibration: found no image to judge, expected at least one": args.calibration and not args.images,
+        "--with-frame: found no --bundle FILE, expected both": args.with_frame
+        and args.bundle is None,
+        "--bundle: found images to judge as well, expected one of the two": args.images
+        and args.bundle is not None,
+        "--calibration: found no image to judge, expected at least one": args.calibration
+        and not args.images,
     }
     for mistake, is_made in mistakes.items():
         if is_made:
@@ -56,14 +80,23 @@ def run(args: argparse.Namespace) -> int:
     for finding in diagnose(args.config, Machine(), seen, args.sensor):
         findings.append(finding)
         if not args.json:
-            print(shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ), flush=True)
+            print(
+                shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ),
+                flush=True,
+            )
     if args.bundle is not None:
         write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
-    faults, warnings = ([each for each in findings if each.state == state] for state in ("fault", "warning"))
+    faults, warnings = (
+        [each for each in findings if each.state == state] for state in ("fault", "warning")
+    )
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
-        print(f"faults: {len(faults)}, warnings: {len(warnings)}" if faults or warnings else "all is well")
+        print(
+            f"faults: {len(faults)}, warnings: {len(warnings)}"
+            if faults or warnings
+            else "all is well"
+        )
         if args.bundle is not None:
             print(f"wrote {args.bundle}; look through it before you share it")
     if any(finding.check == SETTINGS for finding in faults):
@@ -96,7 +129,11 @@ def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_
     else:
         for each in judged:
             named = shown_path(each.path)
-            why = f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}" if each.reason else ""
+            why = (
+                f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}"
+                if each.reason
+                else ""
+            )
             print(f"{'refused' if each.reason else 'passes':<8} {named}{why}")
         print("", *figures(judged), "", sep="\n")
         print(f"{sum(each.reason is None for each in judged)} of {len(judged)} pass")

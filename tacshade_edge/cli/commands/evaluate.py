@@ -23,7 +23,13 @@ from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.studies.evaluate import labelled as labels
 from tacshade_edge.studies.evaluate import report
 from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, evaluate, reconstructor, score_cases
+from tacshade_edge.studies.evaluate.work import (
+    PRESSES,
+    REFERENCES,
+    evaluate,
+    reconstructor,
+    score_cases,
+)
 from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
@@ -63,7 +69,9 @@ def _simulated(args: argparse.Namespace) -> int:
     objects, references = args.objects or tuple(OBJECTS), args.references or REFERENCES
     study.make_folder(args.out)
     with workers() as pool:
-        rows, found = evaluate(names, profiles, objects, pool, Progress(), references=references, presses=presses)
+        rows, found = evaluate(
+            names, profiles, objects, pool, Progress(), references=references, presses=presses
+        )
     sensors = [
         {
             "name": str(name),
@@ -73,7 +81,12 @@ def _simulated(args: argparse.Namespace) -> int:
         }
         for name, made in zip(names, found, strict=True)
     ]
-    settings = {"profiles": profiles, "objects": objects, "references": references, "presses": presses}
+    settings = {
+        "profiles": profiles,
+        "objects": objects,
+        "references": references,
+        "presses": presses,
+    }
     _publish(args, rows, {**settings, "sensors": sensors})
     return 0
 
@@ -82,8 +95,14 @@ def _own(args: argparse.Namespace) -> int:
     calibration, cases, mistakes = study.own_images(args)
     rows = score_cases(calibration, _profiles(args), cases)
     if not rows:
-        raise ConfigError(f"{args.images}: found no image to score, expected at least one image with a truth file")
-    settings = {"calibration": str(args.calibration), "crc32": f"{calibration.crc32:08x}", "images": str(args.images)}
+        raise ConfigError(
+            f"{args.images}: found no image to score, expected at least one image with a truth file"
+        )
+    settings = {
+        "calibration": str(args.calibration),
+        "crc32": f"{calibration.crc32:08x}",
+        "images": str(args.images),
+    }
     _publish(args, rows, settings)
     refused = {row.image: row.degraded for row in rows if not row.valid}
     for image, why in refused.items():
@@ -123,12 +142,16 @@ def _labelled(args: argparse.Namespace) -> int:
             rows[profile].append(labels.found_row(encodable(each.path.name), result))
     progress("frames", len(table), len(table))
     if not known:
-        raise ConfigError(f"{args.labels}: found no readable image, expected at least one in {args.images}")
+        raise ConfigError(
+            f"{args.labels}: found no readable image, expected at least one in {args.images}"
+        )
     made_of = {profile: labels.agreements(some, known) for profile, some in rows.items()}
     every = [row for some in rows.values() for row in some]
     texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
     study.publish(args, "labels", *texts, labels.document(every, made_of))
     if not any(row.contact or not row.refused for row in every):
-        warn(f"{args.images}: every frame is invalid, the first: {refused}; are they this calibration's?")
+        warn(
+            f"{args.images}: every frame is invalid, the first: {refused}; are they this calibration's?"
+        )
         return 1
     return 1 if mistakes else 0

@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     text = "output format; mcap needs the extra of the same name"
     parser.add_argument("--to", choices=tuple(SUFFIXES), required=True, help=text)
-    add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
+    add_option(
+        parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)"
+    )
     add_profile(parser)
     text = "file to create (for ply: folder to create; default: next to the recording)"
     add_option(parser, "--out", "PATH", text)
@@ -43,7 +45,10 @@ def run(args: argparse.Namespace) -> int:
         return _export_hand(args)
     (path,) = args.input
     recording = Recording(path)
-    for line in (recording.damage, "the recording was cut off; exporting what is whole" if recording.cut_off else ""):
+    for line in (
+        recording.damage,
+        "the recording was cut off; exporting what is whole" if recording.cut_off else "",
+    ):
         if line:
             warn(f"{path}: {line}")
     content = content_of(path)
@@ -61,12 +66,16 @@ def run(args: argparse.Namespace) -> int:
 def _export_hand(args: argparse.Namespace) -> int:
     """Export what the recorded fingers' hand would have published; log unreadable images and then return 1."""
     if args.to not in ("csv", "mcap"):
-        raise ConfigError(f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap")
+        raise ConfigError(
+            f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap"
+        )
     if args.calibration is not None:
         expected = "expected none; each recording contains its own"
         raise ConfigError(f"--calibration: found a calibration for several recordings, {expected}")
     if args.out is None:
-        raise ConfigError("--out: found no file name, expected the name of a new file to export several recordings to")
+        raise ConfigError(
+            "--out: found no file name, expected the name of a new file to export several recordings to"
+        )
     from tacshade_edge.factories.hand_recordings import read_hand
 
     if args.to == "mcap":
@@ -79,7 +88,9 @@ def _export_hand(args: argparse.Namespace) -> int:
         hand = read_hand(args.input, args.profile)
         count = write_hand_csv(args.out, hand.fingers, hand.messages)
     left_out = f", {counted(len(hand.unread), 'image')} unreadable" if hand.unread else ""
-    print(f"{args.out}: {counted(count, 'message')} of {counted(len(hand.fingers), 'finger')}{left_out}")
+    print(
+        f"{args.out}: {counted(count, 'message')} of {counted(len(hand.fingers), 'finger')}{left_out}"
+    )
     return 1 if hand.unread else 0
 
 
@@ -89,7 +100,9 @@ def _export(
     """The export; MCAP's is imported on demand, because it needs extra packages."""
     if to == "csv":
         # The quantities of a touch: those learned from labels, or those known without labels.
-        return csv_export(out, calibration.touch[profile].names if profile in calibration.touch else PLAIN)
+        return csv_export(
+            out, calibration.touch[profile].names if profile in calibration.touch else PLAIN
+        )
     if to == "ply":
         return ply_export(out)
     require_mcap()
@@ -101,12 +114,18 @@ def _export(
     except ConfigError:  # the settings of another version of this program
         settings = None
     sensor_id = SENSOR_ID if settings is None else settings.sensor_id
-    return mcap_export(out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content)
+    return mcap_export(
+        out, sensor_id=sensor_id, calibration=calibration, profile=profile, content=content
+    )
 
 
 def _beside(recording: Path, to: str) -> Path:
     recording = recording.resolve()
-    name = recording.name.removesuffix(".part").removesuffix(".mcap") if is_mcap(recording) else recording.name
+    name = (
+        recording.name.removesuffix(".part").removesuffix(".mcap")
+        if is_mcap(recording)
+        else recording.name
+    )
     return recording.with_name(name + SUFFIXES[to])
 
 
@@ -114,5 +133,7 @@ def _calibration(recording: Path, given: Path | None) -> Calibration:
     """Return the given calibration, or else the recording's own. Raises ConfigError if there is neither."""
     own = calibrations.of_recording(recording) if given is None else calibrations.load(given)
     if own is None:
-        raise ConfigError(f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz")
+        raise ConfigError(
+            f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz"
+        )
     return own

@@ -20,7 +20,14 @@ from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
 from tacshade_edge.storage.atomic_files import disk_errors, write_whole
 from tacshade_edge.storage.images import images_in, read_image
-from tacshade_edge.storage.pictures import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
+from tacshade_edge.storage.pictures import (
+    SHEET_TILES,
+    Tile,
+    contact_sheet,
+    panel,
+    tile,
+    write_picture,
+)
 from tacshade_edge.storage.runs import summary
 from tacshade_edge.types import Frame, Reconstruction
 
@@ -32,12 +39,18 @@ _SUMMARY = "summary.json"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
-    add_option(parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True)
+    add_option(
+        parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True
+    )
     text = f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images"
     add_flag(parser, "--plot", text)
     add_flag(parser, "--json", "print the summary as JSON")
     add_option(
-        parser, "images", "IMG", "image, or folder whose images are taken in the order of their names", nargs="+"
+        parser,
+        "images",
+        "IMG",
+        "image, or folder whose images are taken in the order of their names",
+        nargs="+",
     )
 
 
@@ -51,8 +64,17 @@ def run(args: argparse.Namespace) -> int:
         stems.add(path.stem)
     calibration = calibrations.load(args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    records, unreadable, invalid, progress, tiles, timer = [], 0, 0, Progress(), list[Tile](), StageTimer()
-    on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}  # all, or evenly spread
+    records, unreadable, invalid, progress, tiles, timer = (
+        [],
+        0,
+        0,
+        Progress(),
+        list[Tile](),
+        StageTimer(),
+    )
+    on_sheet = {
+        index * len(images) // SHEET_TILES for index in range(SHEET_TILES)
+    }  # all, or evenly spread
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
         (args.out / _SUMMARY).unlink(missing_ok=True)  # it describes all files beside it
@@ -64,15 +86,21 @@ def run(args: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             timer.begin()
-            result = reconstructor.step(Frame(seq=index, t_ns=0, wall_ns=0, image=image), timer.mark)
+            result = reconstructor.step(
+                Frame(seq=index, t_ns=0, wall_ns=0, image=image), timer.mark
+            )
             timer.ms["total"] = sum(timer.ms.values())
             elapsed_ms = {stage: round(ms, 4) for stage, ms in timer.ms.items()}
             _write(args.out / f"{path.stem}.npz", result)
             if args.plot:
-                write_picture(args.out / f"{path.stem}.png", panel(image, result, calibration.geometry))
+                write_picture(
+                    args.out / f"{path.stem}.png", panel(image, result, calibration.geometry)
+                )
                 if index in on_sheet:
                     tiles.append(tile(path.stem, image, result))
-            records.append({"image": encodable(str(path)), **summary(result), "elapsed_ms": elapsed_ms})
+            records.append(
+                {"image": encodable(str(path)), **summary(result), "elapsed_ms": elapsed_ms}
+            )
             if not result.valid:  # its record reports this too, and its height is 0 everywhere
                 progress.warn(f"{path}: invalid: {text_of(result.reason)}")
                 invalid += 1
@@ -93,9 +121,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(path: Path, result: Reconstruction) -> None:
     height, cloud = result.height, result.cloud
-    arrays = {name: getattr(height, name) for name in ("height_mm", "contact", "row0", "col0", "step_px")}
-    arrays |= {name: getattr(result, name) for name in ("shear_mm", "sigma_mm") if getattr(result, name) is not None}
-    arrays["untrusted"] = np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
+    arrays = {
+        name: getattr(height, name) for name in ("height_mm", "contact", "row0", "col0", "step_px")
+    }
+    arrays |= {
+        name: getattr(result, name)
+        for name in ("shear_mm", "sigma_mm")
+        if getattr(result, name) is not None
+    }
+    arrays["untrusted"] = (
+        np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
+    )
     stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays, points_mm=cloud.points_mm, labels=cloud.labels.astype(np.int32))
+    np.savez_compressed(
+        stream, **arrays, points_mm=cloud.points_mm, labels=cloud.labels.astype(np.int32)
+    )
     write_whole(path, stream.getvalue(), sync=False)

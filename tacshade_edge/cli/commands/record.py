@@ -29,10 +29,18 @@ STATUS = "status/recorder"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "the daemon's settings")
     add_sensor(parser)
-    add_option(parser, "--name", "NAME", f"name of the recording: {RECORD_NAME_RULE} (default: date and time)", _name)
+    add_option(
+        parser,
+        "--name",
+        "NAME",
+        f"name of the recording: {RECORD_NAME_RULE} (default: date and time)",
+        _name,
+    )
     text = "how to store the frames (default: %(default)s)"
     parser.add_argument("--format", choices=("folder", "mcap"), default="folder", help=text)
-    seconds = number(f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX)
+    seconds = number(
+        f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX
+    )
     text = "seconds to record; Ctrl-C stops earlier (640x480 at 30 frames/s: 6 MB/s if grey, 17 MB/s in colour)"
     add_option(parser, "--seconds", "N", text, seconds, required=True)
 
@@ -49,16 +57,24 @@ def run(args: argparse.Namespace) -> int:
     try:
         caller.start()
         name = {} if args.name is None else {"name": args.name}
-        format_ = {} if args.format == "folder" else {"format": args.format}  # older daemons do not know the key
-        folder = caller.ask({"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S)["folder"]
+        format_ = (
+            {} if args.format == "folder" else {"format": args.format}
+        )  # older daemons do not know the key
+        folder = caller.ask(
+            {"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S
+        )["folder"]
         ended = _follow(caller, folder, args.seconds, stop)
     finally:
         caller.stop()
     dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
     early = f" ({ended['ending']})" if ended["ending_code"] != ReasonCode.TIME else ""
-    print(f"{folder}: {counted(ended['frames'], 'frame')}, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}")
+    print(
+        f"{folder}: {counted(ended['frames'], 'frame')}, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}"
+    )
     if reason := ended.get("reason"):  # as in `status/recorder`
-        raise DeviceError(f"{folder}: the recording stopped: {reason}; the recorded frames are kept")
+        raise DeviceError(
+            f"{folder}: the recording stopped: {reason}; the recorded frames are kept"
+        )
     if ended["frames"] == 0:
         raise DeviceError(f"{folder}: the recording received no frame")
     return 0
@@ -70,13 +86,19 @@ def _name(text: str) -> str:
     return text
 
 
-def _follow(caller: MqttCaller, folder: str, seconds: float, stop: threading.Event) -> dict[str, Any]:
+def _follow(
+    caller: MqttCaller, folder: str, seconds: float, stop: threading.Event
+) -> dict[str, Any]:
     """Show the recording's progress until it is over; return the daemon's last status of it."""
     progress, deadline_s = Progress(), time.monotonic() + seconds + WRITTEN_S
     try:
         while not stop.is_set():
             status = _status(caller, folder)
-            if _over(status) or caller.latest("state") in (b"stopped", b"offline") or time.monotonic() > deadline_s:
+            if (
+                _over(status)
+                or caller.latest("state") in (b"stopped", b"offline")
+                or time.monotonic() > deadline_s
+            ):
                 return _last_words(caller, folder)
             progress("frames", status.get("frames", 0), None)
             caller.wait_for(stop.is_set, PERIOD_S)

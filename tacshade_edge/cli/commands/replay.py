@@ -7,7 +7,15 @@ import contextlib
 import re
 import signal
 
-from tacshade_edge.cli.shared.options import COUNT, POSITIVE, add_flag, add_option, add_profile, address, warn
+from tacshade_edge.cli.shared.options import (
+    COUNT,
+    POSITIVE,
+    add_flag,
+    add_option,
+    add_profile,
+    address,
+    warn,
+)
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
@@ -23,18 +31,54 @@ from tacshade_edge.storage.runs import RunWriter, figures, first_difference
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)")
+    add_option(
+        parser, "--calibration", "CAL.npz", "calibration file (default: the recording's own)"
+    )
     add_profile(parser)
     add_option(parser, "--out", "DIR", "folder for heights.bin, clouds.bin and summary.json")
-    add_option(parser, "--against", "DIR", "compare the run in --out with this one; exit 1 if they differ")
-    add_option(parser, "--fps", "N", "frame rate of a recording without time stamps (default: 30)", POSITIVE)
-    add_option(parser, "--speed", "FACTOR", "multiple of the recorded speed (default: as fast as possible)", POSITIVE)
+    add_option(
+        parser, "--against", "DIR", "compare the run in --out with this one; exit 1 if they differ"
+    )
+    add_option(
+        parser,
+        "--fps",
+        "N",
+        "frame rate of a recording without time stamps (default: 30)",
+        POSITIVE,
+    )
+    add_option(
+        parser,
+        "--speed",
+        "FACTOR",
+        "multiple of the recorded speed (default: as fast as possible)",
+        POSITIVE,
+    )
     add_flag(parser, "--play", "let the dashboard pause, step and seek, until Ctrl-C")
-    add_option(parser, "--loop", "TIMES", "times to play it; 0: until Ctrl-C (default: 1)", COUNT, default=1)
+    add_option(
+        parser,
+        "--loop",
+        "TIMES",
+        "times to play it; 0: until Ctrl-C (default: 1)",
+        COUNT,
+        default=1,
+    )
     add_option(parser, "--mqtt", "HOST:PORT", "publish to this broker as `run` does", address())
     add_option(parser, "--config", "FILE", "publish as `run` does, to the broker in these settings")
-    add_option(parser, "--sensor-id", "ID", "publish under tacshade/ID (default: replay)", _sensor_id, default="replay")
-    add_option(parser, "input", "INPUT", "video or folder of images; not needed to compare two runs", nargs="?")
+    add_option(
+        parser,
+        "--sensor-id",
+        "ID",
+        "publish under tacshade/ID (default: replay)",
+        _sensor_id,
+        default="replay",
+    )
+    add_option(
+        parser,
+        "input",
+        "INPUT",
+        "video or folder of images; not needed to compare two runs",
+        nargs="?",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,11 +99,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _mistake(args: argparse.Namespace) -> str:
     """Return what is wrong with a combination of arguments that argparse cannot check."""
-    out, against, has_broker = args.out, args.against, args.mqtt is not None or args.config is not None
+    out, against, has_broker = (
+        args.out,
+        args.against,
+        args.mqtt is not None or args.config is not None,
+    )
     if against is not None and out is None:
         return "--against: found no --out DIR to compare with, expected both"
     if args.input is None:
-        return "" if against is not None else "expected INPUT, or --out DIR and --against DIR to compare two runs"
+        return (
+            ""
+            if against is not None
+            else "expected INPUT, or --out DIR and --against DIR to compare two runs"
+        )
     if args.calibration is None and not args.input.exists():
         raise ConfigError(f"{shown(args.input)}: found nothing, expected a recording")
     if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
@@ -84,10 +136,15 @@ def _replay(args: argparse.Namespace) -> int:
         warn(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
         warn(recording.damage)
-    calibration = calibrations.of_recording(args.input) if given is None else calibrations.load(given)
+    calibration = (
+        calibrations.of_recording(args.input) if given is None else calibrations.load(given)
+    )
     assert calibration is not None  # `_mistake` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    for number in (signal.SIGTERM, signal.SIGINT):  # SIGINT too: a shell's background jobs start with it ignored
+    for number in (
+        signal.SIGTERM,
+        signal.SIGINT,
+    ):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
     progress, shown, interrupted = Progress(), Shown(), False
     sinks: list[Deliver] = []
@@ -95,12 +152,18 @@ def _replay(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         if broker is not None:
             wait = args.speed is None and not args.play
-            link = ReplayLink(broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=wait)
+            link = ReplayLink(
+                broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=wait
+            )
             stack.callback(link.stop)
             link.start()
             sinks.append(link.add)
             if args.play:
-                played = Playback(lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback)
+                played = Playback(
+                    lambda: Recording(args.input, fps=args.fps),
+                    args.speed or 1.0,
+                    link.report_playback,
+                )
                 link.playback = played
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
@@ -123,7 +186,12 @@ def _replay(args: argparse.Namespace) -> int:
     )
     if broker is not None:
         counts = link.counters()
-        print(", ".join(f"{counts[name]} payloads {name}" for name in ("published", "superseded", "failed", "refused")))
+        print(
+            ", ".join(
+                f"{counts[name]} payloads {name}"
+                for name in ("published", "superseded", "failed", "refused")
+            )
+        )
     if interrupted:
         if args.out is not None:
             warn(f"{args.out}: stopped before the end and wrote nothing")
@@ -144,5 +212,7 @@ def _broker(args: argparse.Namespace) -> BrokerAddress | None:
 
 def _sensor_id(text: str) -> str:
     if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
-        raise argparse.ArgumentTypeError(f"found {text}, expected letters, digits, - and _, but not the word hand")
+        raise argparse.ArgumentTypeError(
+            f"found {text}, expected letters, digits, - and _, but not the word hand"
+        )
     return text

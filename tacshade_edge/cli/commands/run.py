@@ -54,10 +54,14 @@ def run(args: argparse.Namespace) -> int:
     return Supervisor(documents, hand, lines.end).run(work)
 
 
-def _run_sensor(document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None) -> int:
+def _run_sensor(
+    document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None
+) -> int:
     sources.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
-    app = App(document, sources.make_source(document.settings.source), calibration, hand_line, robot_line)
+    app = App(
+        document, sources.make_source(document.settings.source), calibration, hand_line, robot_line
+    )
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:

@@ -65,13 +65,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--tilt", "tilt about x, then y in degrees"),
     ):
         text += "; may be repeated (default: 0 0)"
-        parser.add_argument(name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text)
-    add_option(parser, "--calibration-set", "DIR", "folder for images of the untouched skin and of ball presses")
-    add_option(parser, "--presses", "N", "ball presses in the calibration set (default: 40)", COUNT, default=40)
-    add_option(parser, "--pad", "DIR", "folder for presses that cover a touchpad, with poses and truth")
-    add_option(parser, "--pad-step", "MM", "distance between the pad's presses in mm (default: 4)", FINITE, default=4.0)
-    add_option(parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0)
-    add_option(parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT)
+        parser.add_argument(
+            name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text
+        )
+    add_option(
+        parser,
+        "--calibration-set",
+        "DIR",
+        "folder for images of the untouched skin and of ball presses",
+    )
+    add_option(
+        parser,
+        "--presses",
+        "N",
+        "ball presses in the calibration set (default: 40)",
+        COUNT,
+        default=40,
+    )
+    add_option(
+        parser, "--pad", "DIR", "folder for presses that cover a touchpad, with poses and truth"
+    )
+    add_option(
+        parser,
+        "--pad-step",
+        "MM",
+        "distance between the pad's presses in mm (default: 4)",
+        FINITE,
+        default=4.0,
+    )
+    add_option(
+        parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0
+    )
+    add_option(
+        parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,14 +120,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_sensor(model: SensorModel, folder: Path) -> None:
-    stated = {name: getattr(model, name) for name in ("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg")}
-    keys = {name: value for name, value in stated.items() if value is not None} | {"polarity": "bright"}
+    stated = {
+        name: getattr(model, name)
+        for name in ("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg")
+    }
+    keys = {name: value for name, value in stated.items() if value is not None} | {
+        "polarity": "bright"
+    }
     (folder / "SENSOR.yaml").write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
 
 
 def _write_references(sensor: SimulatedSensor, folder: Path, seed: int) -> None:
     for k in range(REFERENCES):
-        (folder / f"reference_{k:02d}.png").write_bytes(png(sensor.frame((), seed * _SEED_STRIDE + k).image))
+        (folder / f"reference_{k:02d}.png").write_bytes(
+            png(sensor.frame((), seed * _SEED_STRIDE + k).image)
+        )
 
 
 def _calibrate(at: str, more: str) -> str:
@@ -121,7 +155,9 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         rows.append((name, presses.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
-    print(f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, PRESSES.csv")
+    print(
+        f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, PRESSES.csv"
+    )
     at = shlex.quote(str(folder))
     print(NEXT_FIT)
     print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
@@ -134,12 +170,21 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
         if name not in OBJECTS and name != "none":
-            raise ConfigError(f"--objects: found {name!r}, expected 'none' or one of {', '.join(OBJECTS)}")
+            raise ConfigError(
+                f"--objects: found {name!r}, expected 'none' or one of {', '.join(OBJECTS)}"
+            )
     nowhere = [(0.0, 0.0)]
     places, tilts, drags = (given or nowhere for given in (args.position, args.tilt, args.drag))
     ways = itertools.product(args.depth, places, args.rotation, tilts, drags, args.twist)
-    pressed = [(depth, x, y, rotation, *tilt, *drag, twist) for depth, (x, y), rotation, tilt, drag, twist in ways]
-    scenes = [(name, each) for name in names for each in (pressed if name != "none" else [(0.0,) * len(PRESS_KEYS)])]
+    pressed = [
+        (depth, x, y, rotation, *tilt, *drag, twist)
+        for depth, (x, y), rotation, tilt, drag, twist in ways
+    ]
+    scenes = [
+        (name, each)
+        for name in names
+        for each in (pressed if name != "none" else [(0.0,) * len(PRESS_KEYS)])
+    ]
     args.out.mkdir(parents=True, exist_ok=True)
     rows, progress = [], Progress()
     for k, (name, numbers) in enumerate(scenes):
@@ -164,10 +209,19 @@ def _write_truth(path: Path, frame: SimulatedFrame, name: str, known: Mapping[st
     truth = frame.truth()
     shear_mm = np.full((*truth.height_mm.shape, 2), np.nan, np.float32)
     inside = np.nonzero(np.isfinite(truth.height_mm))
-    shear_mm[inside] = frame.shear_mm(inside[0].astype(float), inside[1].astype(float)) if frame.presses else 0.0
+    shear_mm[inside] = (
+        frame.shear_mm(inside[0].astype(float), inside[1].astype(float)) if frame.presses else 0.0
+    )
     names = ("height_mm", "contact", "points_mm", "object_points_mm", "depth_max_mm")
     content: dict[str, Any] = {name: getattr(truth, name) for name in names}
-    content |= {"row0": 0.0, "col0": 0.0, "step_px": 1.0, "shear_mm": shear_mm, "object": name, **known}
+    content |= {
+        "row0": 0.0,
+        "col0": 0.0,
+        "step_px": 1.0,
+        "shear_mm": shear_mm,
+        "object": name,
+        **known,
+    }
     np.savez_compressed(path, **content)
     return truth.depth_max_mm
 
@@ -192,19 +246,28 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     noise_seed = seed * _SEED_STRIDE + _PAD_SEED
     tasks = [(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
     with workers() as pool:
-        for name, data in zip(names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True):
+        for name, data in zip(
+            names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True
+        ):
             (folder / name).write_bytes(data)
     noisy = pads.disturbed(poses, radius_mm, _NOISE_MM, _NOISE_DEG, seed)
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
-        rows = [(name, *(f"{v:.6f}" for v in pose.seven())) for name, pose in zip(names, stated, strict=True)]
+        rows = [
+            (name, *(f"{v:.6f}" for v in pose.seven()))
+            for name, pose in zip(names, stated, strict=True)
+        ]
         _write_csv(folder / table, frame_table.POSES_HEADER, rows)
     true_mm = pads.raster(pad, _TRUTH_STEP_MM)
-    np.savez_compressed(folder / "PAD.npz", z_mm=true_mm, x0_mm=0.0, y0_mm=0.0, step_mm=_TRUTH_STEP_MM)
+    np.savez_compressed(
+        folder / "PAD.npz", z_mm=true_mm, x0_mm=0.0, y0_mm=0.0, step_mm=_TRUTH_STEP_MM
+    )
     made = f"POSES.csv, POSES_NOISY.csv, PAD.npz, {REFERENCES} references, SENSOR.yaml"
     print(f"{folder}: {counted(len(poses), 'press')}, {made}")
     at = shlex.quote(str(folder))
     print(f"next:\n{_calibrate(at, '')}")
-    print(f"  tacshade-edge stitch --calibration {at}/calibration.npz --poses {at}/POSES.csv", end=" ")
+    print(
+        f"  tacshade-edge stitch --calibration {at}/calibration.npz --poses {at}/POSES.csv", end=" "
+    )
     print(f"--truth {at}/PAD.npz --out {at}/map")
 
 

@@ -42,12 +42,28 @@ _PLAN = "(see the plan in docs/how-to/stitching.md)"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     source = parser.add_mutually_exclusive_group(required=True)
-    add_option(source, "--poses", "POSES.csv", "table of images and the robot's poses (base_T_flange)")
-    add_option(source, "--recording", "INPUT", "a recording; each settled contact counts as one press")
+    add_option(
+        source, "--poses", "POSES.csv", "table of images and the robot's poses (base_T_flange)"
+    )
+    add_option(
+        source, "--recording", "INPUT", "a recording; each settled contact counts as one press"
+    )
     add_profile(parser, default="accurate")  # a map may take longer
-    add_option(parser, "--out", "DIR", "folder for map.npz, .ply, .png, .json and preview.png", required=True)
-    add_option(parser, "--truth", "PAD.npz", "score the map against this known surface and draw both")
-    add_flag(parser, "--find-flange", "find flange_T_sensor and the frames' delay, not a map: flange.json")
+    add_option(
+        parser,
+        "--out",
+        "DIR",
+        "folder for map.npz, .ply, .png, .json and preview.png",
+        required=True,
+    )
+    add_option(
+        parser, "--truth", "PAD.npz", "score the map against this known surface and draw both"
+    )
+    add_flag(
+        parser,
+        "--find-flange",
+        "find flange_T_sensor and the frames' delay, not a map: flange.json",
+    )
     add_flag(parser, "--json", "print map.json (with --find-flange: flange.json)")
 
 
@@ -68,12 +84,16 @@ def run(args: argparse.Namespace) -> int:
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
     else:
-        presses = read_recording(calibration, profile, Recording(args.recording), str(args.recording))
+        presses = read_recording(
+            calibration, profile, Recording(args.recording), str(args.recording)
+        )
     failed = [press for press in presses if press.failed]
     for press in failed:
         warn(f"{press.where}: {press.skipped}")
     if args.find_flange:
-        report_flange(frames_of_presses(presses, start), start, radius_mm, args.out, where, as_json=args.json)
+        report_flange(
+            frames_of_presses(presses, start), start, radius_mm, args.out, where, as_json=args.json
+        )
         return 1 if failed else 0
     stitcher = stitcher_of(presses, radius_mm)
     if stitcher.presses == 0:
@@ -92,9 +112,17 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
-        how = f"refined (they disagreed by {about['disagreement_mm']:.2f} mm)" if about["refined"] else "exact"
+        how = (
+            f"refined (they disagreed by {about['disagreement_mm']:.2f} mm)"
+            if about["refined"]
+            else "exact"
+        )
         print(f"{args.out}: {about['used']} of {len(about['presses'])} presses, poses {how}")
-        for name, key in (("map", "score"), ("not refined", "unrefined"), ("paper's average", "paper")):
+        for name, key in (
+            ("map", "score"),
+            ("not refined", "unrefined"),
+            ("paper's average", "paper"),
+        ):
             if key in about:
                 print(f"  {name}: {_line(about[key])}")
     return 1 if failed else 0
@@ -104,7 +132,11 @@ def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:
-        record: dict[str, Any] = {"image": press.name, "used": False, "reason": text_of(press.skipped)}
+        record: dict[str, Any] = {
+            "image": press.name,
+            "used": False,
+            "reason": text_of(press.skipped),
+        }
         records.append(record if press.skipped else record | press_record(next(placed)))
     return {
         "refined": finished.refined,
@@ -115,12 +147,20 @@ def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
 
 
 def _line(s: dict[str, Any]) -> str:
-    covered = "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"  # a flat surface
+    covered = (
+        "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"
+    )  # a flat surface
     return f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {covered} covered"
 
 
 def report_flange(
-    frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float, out: Path, where: str, *, as_json: bool
+    frames: Sequence[ContactFrame],
+    start: Rigid,
+    skin_radius_mm: float,
+    out: Path,
+    where: str,
+    *,
+    as_json: bool,
 ) -> None:
     """Find, write and print flange_T_sensor and the delay. Raises ConfigError if the presses do not determine them."""
     presses = len({frame.press for frame in frames})
@@ -144,13 +184,17 @@ def report_flange(
     if as_json:
         print((out / FLANGE).read_text(encoding="utf-8"), end="")
         return
-    print(f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's")
+    print(
+        f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's"
+    )
     sigma = np.sqrt(np.diag(found.covariance))
     values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
     within = f"within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"
     print(f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  # {within}")
     if seen:
-        print(f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses")
+        print(
+            f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses"
+        )
     else:
         expected = "expected a recording of presses down and up at 10 mm/s"
         print(f"delay: not found: no press moves while in contact, {expected}")

@@ -23,7 +23,12 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCE_NOISE, REFERENCES, calibrate_sensors
+from tacshade_edge.studies.evaluate.work import (
+    PRESSES,
+    REFERENCE_NOISE,
+    REFERENCES,
+    calibrate_sensors,
+)
 from tacshade_edge.studies.parallel import usable_cores, workers
 from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.measure import (
@@ -50,8 +55,12 @@ WIDEST_PX = 400
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    study.add_arguments(parser, "default: all but paper", "tradeoff.md, tradeoff.csv and tradeoff.json")
-    wish = parser.add_argument_group("what you need; prints the settings of the most accurate that holds it")
+    study.add_arguments(
+        parser, "default: all but paper", "tradeoff.md, tradeoff.csv and tradeoff.json"
+    )
+    wish = parser.add_argument_group(
+        "what you need; prints the settings of the most accurate that holds it"
+    )
     add_option(wish, "--budget-ms", "MS", "time for 99 of 100 frames in contact", POSITIVE)
     add_option(wish, "--fps", "N", "frames per second of each finger", POSITIVE)
     text = "number of fingers on this machine (default: 1)"
@@ -67,7 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _outputs(text: str) -> tuple[str, ...]:
     names = {word.strip() for word in text.split(",")}
     if unknown := sorted(names - {*OUTPUTS}):
-        raise argparse.ArgumentTypeError(f"found {unknown[0]!r}, expected one or more of {', '.join(OUTPUTS)}")
+        raise argparse.ArgumentTypeError(
+            f"found {unknown[0]!r}, expected one or more of {', '.join(OUTPUTS)}"
+        )
     return tuple(name for name in OUTPUTS if name in names)
 
 
@@ -89,13 +100,17 @@ def run(args: argparse.Namespace) -> int:
     if not any(each.touched for each in judged):
         expected = "found no image of a contact to score, expected at least one with a truth file"
         raise ConfigError(f"{args.images}: {expected}")
-    every = tuple(name for name in OUTPUTS if any(name in each.outputs(calibration) for each in some))
+    every = tuple(
+        name for name in OUTPUTS if any(name in each.outputs(calibration) for each in some)
+    )
     if missing := [name for name in args.outputs or () if name not in every]:
         args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
     asked = [args.outputs] if args.outputs else [*((name,) for name in every), every]
     rows, busy = measure(some, asked, calibration, judged, Progress())
     if busy > BUSY:
-        warn(f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here")
+        warn(
+            f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here"
+        )
     csv = {"": report.csv_text(rows)}
     study.publish(args, "tradeoff", report.table(rows), csv, report.document(rows, busy))
     if drawn:
@@ -130,14 +145,30 @@ def _simulated(
             ]
         calibration = sensors[0].calibration
         some = settings(profiles, calibration)
-        return some, calibration, simulated(some, sensors, args.objects or [*PAPER_OBJECTS], pool, progress)
+        return (
+            some,
+            calibration,
+            simulated(some, sensors, args.objects or [*PAPER_OBJECTS], pool, progress),
+        )
 
 
 def _report(args: argparse.Namespace) -> int:
     """Measure the learned profiles in the same way on every board, and print the table and the board's facts."""
-    for name in ("profile", "calibration", "images", "budget_ms", "fps", "fingers", "outputs", "sensors", "objects"):
+    for name in (
+        "profile",
+        "calibration",
+        "images",
+        "budget_ms",
+        "fps",
+        "fingers",
+        "outputs",
+        "sensors",
+        "objects",
+    ):
         if getattr(args, name) is not None:
-            args.parser.error(f"--report measures the same on every board: expected no --{name.replace('_', '-')}")
+            args.parser.error(
+                f"--report measures the same on every board: expected no --{name.replace('_', '-')}"
+            )
     if args.json:
         args.parser.error("--report prints Markdown: expected no --json")
     args.report, args.outputs, args.sensors = False, ("height",), study.sensors("default")
@@ -156,16 +187,24 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
 
     calibration = calibrations.load(args.calibration)
     small, times = calibration, 1
-    while small.image_width_px > WIDEST_PX and small.image_width_px % 2 == small.image_height_px % 2 == 0:
+    while (
+        small.image_width_px > WIDEST_PX
+        and small.image_width_px % 2 == small.image_height_px % 2 == 0
+    ):
         small, times = halved_calibration(small), 2 * times  # four times as fast
     progress("finding the sensor's print", 0, None)
     found = identify.identify(small)
     if not found:
-        raise ConfigError(f"{args.calibration}: found no pins in its reference; add --images DIR, with ground truth")
+        raise ConfigError(
+            f"{args.calibration}: found no pins in its reference; add --images DIR, with ground truth"
+        )
     model, layout = found[0].at(found[0].values)
     if isinstance(layout, lattice.Tips):
         layout = lattice.Tips(layout.px * times + (times - 1) / 2)
-    at, whole = ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px"), calibration
+    at, whole = (
+        ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px"),
+        calibration,
+    )
     seen = {name: getattr(prints.base_model(whole), name) for name in at}
     model = replace(model, blur_px=model.blur_px * times, **seen)
     make = partial(Twin, model, found[0].kind, layout, prints.seen_light(whole)[0])

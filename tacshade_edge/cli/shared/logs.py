@@ -31,15 +31,28 @@ Text = tuple[str, str, str]
 
 
 def add_verbosity(parser: argparse.ArgumentParser) -> None:
-    how, kind = parser.add_mutually_exclusive_group(), dict[str, Any](action="store_const", dest="log_level")
-    how.add_argument("-v", "--verbose", const=logging.DEBUG, help="log more detail, to help you find a fault", **kind)
-    how.add_argument("-q", "--quiet", const=logging.WARNING, help="log warnings and errors only", **kind)
+    how, kind = (
+        parser.add_mutually_exclusive_group(),
+        dict[str, Any](action="store_const", dest="log_level"),
+    )
+    how.add_argument(
+        "-v",
+        "--verbose",
+        const=logging.DEBUG,
+        help="log more detail, to help you find a fault",
+        **kind,
+    )
+    how.add_argument(
+        "-q", "--quiet", const=logging.WARNING, help="log warnings and errors only", **kind
+    )
     parser.set_defaults(log_level=logging.INFO)
 
 
 def start_logging(level: int, sensor_id: str = "") -> None:
     """Log to stderr, with time stamps unless the journal adds them and with `sensor_id`, if given, in each line."""
-    logging.basicConfig(level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True)
+    logging.basicConfig(
+        level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True
+    )
     # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
         logging.getLogger(name).setLevel(max(level, logging.INFO))
@@ -73,7 +86,11 @@ class Limit:
         """Whether to log one more message that says this; if not, count it as left out."""
         name, form, _ = text
         if self._is_too_many(text):
-            kept = {key: kind for key, kind in self._kinds.items() if kind.left_out or kind.free_at(now_s) < AT_ONCE}
+            kept = {
+                key: kind
+                for key, kind in self._kinds.items()
+                if kind.left_out or kind.free_at(now_s) < AT_ONCE
+            }
             self._kinds = kept
         if self._is_too_many(text):
             text = (name, form, form)
@@ -89,9 +106,14 @@ class Limit:
     def _is_too_many(self, text: Text) -> bool:
         if text in self._kinds:
             return False
-        return len(self._kinds) >= _KINDS_MAX or sum(key[:2] == text[:2] for key in self._kinds) >= _TEXTS_MAX
+        return (
+            len(self._kinds) >= _KINDS_MAX
+            or sum(key[:2] == text[:2] for key in self._kinds) >= _TEXTS_MAX
+        )
 
-    def take_left_out(self, now_s: float, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
+    def take_left_out(
+        self, now_s: float, *, all_of_them: bool = False
+    ) -> list[tuple[str, str, int]]:
         """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
         counts = []
         for (name, _, said), kind in self._kinds.items():
@@ -113,7 +135,9 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     def emit(self, record: logging.LogRecord) -> None:
         now_s = time.monotonic()
         self._report(now_s)
-        said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])  # without counts and measurements
+        said = _NUMBER.sub(
+            "#", record.getMessage()[:_TEXT_CHARS_MAX]
+        )  # without counts and measurements
         if self._limit.passes((record.name, str(record.msg), said), now_s):
             super().emit(record)
 
@@ -124,12 +148,16 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
         for name, message, count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
             text = "left out %d more lines like this: %s"
-            super().emit(logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None))
+            super().emit(
+                logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None)
+            )
 
 
 class _Escaping(logging.Formatter):
     def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:
-        return datetime.fromtimestamp(record.created).astimezone().isoformat(timespec="milliseconds")
+        return (
+            datetime.fromtimestamp(record.created).astimezone().isoformat(timespec="milliseconds")
+        )
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         return escaped(super().formatMessage(record))

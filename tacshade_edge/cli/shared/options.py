@@ -30,7 +30,9 @@ def need(what: str, extra: str, *packages: str) -> None:
     """Raise a ConfigError that names the extra if one of these packages is missing; imports none of them."""
     for package in packages:
         if importlib.util.find_spec(package) is None:
-            raise ConfigError(f"{what}: the package {package} is not installed; to install it: {how_to_install(extra)}")
+            raise ConfigError(
+                f"{what}: the package {package} is not installed; to install it: {how_to_install(extra)}"
+            )
 
 
 def path(text: str) -> Path:
@@ -38,7 +40,9 @@ def path(text: str) -> Path:
     return Path(text).expanduser()
 
 
-def add_option(to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = path, **more: Any) -> None:
+def add_option(
+    to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = path, **more: Any
+) -> None:
     """Declare an option of a parser or a group of options; its value is a path unless `kind` reads another."""
     to.add_argument(name, type=kind, metavar=metavar, help=text, **more)
 
@@ -52,13 +56,17 @@ def add_config(parser: argparse.ArgumentParser, text: str = "settings file") -> 
 
 
 def add_sensor(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sensor", metavar="ID", help="sensor to use, if the settings list several")
+    parser.add_argument(
+        "--sensor", metavar="ID", help="sensor to use, if the settings list several"
+    )
 
 
 def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
     """Declare ``--profile`` of commands whose results must not depend on the machine's speed."""
     text = f"speed against accuracy (default: {default})"
-    parser.add_argument("--profile", type=_fixed, choices=sorted(PROFILES), default=default, help=text)
+    parser.add_argument(
+        "--profile", type=_fixed, choices=sorted(PROFILES), default=default, help=text
+    )
 
 
 def _fixed(text: str) -> str:
@@ -68,7 +76,9 @@ def _fixed(text: str) -> str:
     return text
 
 
-def number(expected: str, low: float, high: float, kind: type[int] | type[float] = float) -> Callable[[str], Any]:
+def number(
+    expected: str, low: float, high: float, kind: type[int] | type[float] = float
+) -> Callable[[str], Any]:
     """Return an argparse type that reads a number from `low` to `high`, which `expected` describes."""
 
     def read(text: str) -> float:

@@ -16,7 +16,9 @@ _ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is est
 class Progress:
     """Shows how many items are done, of how many, and the remaining time at the mean speed so far (on stderr)."""
 
-    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._stream = stream or sys.stderr
         self._clock = clock
         self._live = self._stream.isatty()
@@ -32,7 +34,9 @@ class Progress:
             self._what, self._began_s = what, now_s
             self._said_s = -math.inf if self._live else now_s
         is_last = done == total
-        if now_s - self._said_s < (_TERMINAL_PERIOD_S if self._live else PERIOD_S) and not (is_last and self._is_open):
+        if now_s - self._said_s < (_TERMINAL_PERIOD_S if self._live else PERIOD_S) and not (
+            is_last and self._is_open
+        ):
             return
         self._said_s = now_s
         text = f"{what}: {done}" + ("" if total is None else f"/{total}")

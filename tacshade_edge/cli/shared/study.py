@@ -34,7 +34,9 @@ def objects(text: str) -> tuple[str, ...]:
     """Read ``NAME,...``. Raises argparse.ArgumentTypeError."""
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     if unknown := [name for name in names if name not in OBJECTS]:
-        raise argparse.ArgumentTypeError(f"found {unknown[0]!r}, expected one or more of {', '.join(OBJECTS)}")
+        raise argparse.ArgumentTypeError(
+            f"found {unknown[0]!r}, expected one or more of {', '.join(OBJECTS)}"
+        )
     return names
 
 
@@ -49,7 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) ->
     add_option(own, "--images", "DIR", "folder of images, each with its ground truth, STEM.npz")
 
 
-def add_simulated(parser: argparse.ArgumentParser, sensor_names: str, object_names: str) -> argparse._ArgumentGroup:
+def add_simulated(
+    parser: argparse.ArgumentParser, sensor_names: str, object_names: str
+) -> argparse._ArgumentGroup:
     """Declare ``--sensors`` and ``--objects`` and return their group."""
     group = parser.add_argument_group("simulated sensors")
     text = f"seeds, or 'default' for the standard one (default: {sensor_names})"
@@ -73,7 +77,9 @@ def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
 def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
     """The user's calibration, the images, and a list of bad ones that grows. Raises ConfigError and DeviceError."""
     if not args.images.is_dir():
-        raise ConfigError(f"{args.images}: found no folder, expected one with images and their ground truth (.npz)")
+        raise ConfigError(
+            f"{args.images}: found no folder, expected one with images and their ground truth (.npz)"
+        )
     calibration, paths = calibrations.load(args.calibration), images_in([args.images])
     make_folder(args.out)
     mistakes: list[str] = []
@@ -83,7 +89,11 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
         mistakes.append(text)
         report.warn(text)
 
-    return calibration, read_images(calibration, args.calibration.name, paths, report, mistake), mistakes
+    return (
+        calibration,
+        read_images(calibration, args.calibration.name, paths, report, mistake),
+        mistakes,
+    )
 
 
 def will_draw(args: argparse.Namespace, files: str) -> bool:
@@ -94,7 +104,9 @@ def will_draw(args: argparse.Namespace, files: str) -> bool:
     return args.out is not None and not missing
 
 
-def publish(args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None) -> None:
+def publish(
+    args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None
+) -> None:
     """Print the table or, with --json, the document; with --out, write both, and `rows` (end of name: CSV text)."""
     files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
     if document is not None:

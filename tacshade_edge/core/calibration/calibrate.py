@@ -74,11 +74,16 @@ def calibrate(
     if not presses:
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
     networks, geometry = networks or {}, unloaded.geometry
-    selection = select_presses(unloaded, presses, networks.get(GRADED_PROFILE), polarity_stated=bool(sensor.polarity))
+    selection = select_presses(
+        unloaded, presses, networks.get(GRADED_PROFILE), polarity_stated=bool(sensor.polarity)
+    )
     # The paper's α for this sensor scales a normalised height of 1 to the mean pressed depth.
     alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px
     fitted = replace(unloaded, polarity=selection.polarity, alpha=alpha)
-    made = {name: refit_profile(fitted, PROFILES[name], each, selection.presses) for name, each in networks.items()}
+    made = {
+        name: refit_profile(fitted, PROFILES[name], each, selection.presses)
+        for name, each in networks.items()
+    }
     refits = {name: refit for name, refit in made.items() if refit}
     fit = Fit(
         presses=len(selection.presses),
@@ -90,7 +95,11 @@ def calibrate(
         fitted,
         fit=fit,
         factors={name: refit.factor for name, refit in refits.items()},
-        error_scales={name: refit.error_scale for name, refit in refits.items() if refit.error_scale is not None},
+        error_scales={
+            name: refit.error_scale
+            for name, refit in refits.items()
+            if refit.error_scale is not None
+        },
     )
     warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
@@ -99,11 +108,13 @@ def calibrate(
             warnings += (hint,)
         warnings += graded.warnings
         if graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
-            words = f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
-            # A fit to labels that contradict each other learns their errors.
-            is_exact = not (hint or selection.wrong_keys) and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(
-                geometry
+            words = (
+                f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
             )
+            # A fit to labels that contradict each other learns their errors.
+            is_exact = not (
+                hint or selection.wrong_keys
+            ) and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
             advice = "; --fit may help" if is_exact else ""
             warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
     missing = missing_coverage(selection.observations, geometry)
@@ -121,7 +132,9 @@ def _doubted_polarity(stated: Polarity, likely: Polarity) -> tuple[str, ...]:
 def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     """The calibration that the references alone give."""
     if not greys:
-        raise ConfigError("found no reference image, expected at least one image of the untouched skin")
+        raise ConfigError(
+            "found no reference image, expected at least one image of the untouched skin"
+        )
     for number, grey in enumerate(greys, start=1):
         if grey.shape != greys[0].shape:
             raise ConfigError(
@@ -132,7 +145,9 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     disc = pattern.visible_disc(mean, sensor.visible_circle)
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
-        geometry=Geometry(sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc),
+        geometry=Geometry(
+            sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc
+        ),
         polarity=sensor.polarity or "bright",
         binarisation=sensor.binarisation or choose_binarisation(mean, disc, pitch_px),
         image_height_px=mean.shape[0],
@@ -151,7 +166,9 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
 def inputs_of(sensor: Sensor, references: Sequence[U8], presses: Sequence[KnownPress]) -> Inputs:
     """Keep the inputs of `calibrate`, the images in grey, which is all that it uses."""
     greys = tuple(to_grey(image) for image in references)
-    return Inputs(sensor, greys, tuple(replace(press, image=to_grey(press.image)) for press in presses))
+    return Inputs(
+        sensor, greys, tuple(replace(press, image=to_grey(press.image)) for press in presses)
+    )
 
 
 def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:

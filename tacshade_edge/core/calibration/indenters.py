@@ -87,7 +87,9 @@ class PlacedIndenter:
 
     def deeper(self, by_mm: float) -> PlacedIndenter:
         """The same indenter pressed deeper."""
-        return PlacedIndenter(self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm))
+        return PlacedIndenter(
+            self.x_mm, self.y_mm, self.depth_mm + by_mm, self.triangles_mm - (0.0, 0.0, by_mm)
+        )
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
         """Heights h (rows, cols) where camera rays first meet the surface; NaN outside disc and undeformed skin."""
@@ -102,7 +104,9 @@ class PlacedIndenter:
             z = -_upper_envelope(np.stack((x, y, -z), axis=-1), u[0], v[:, 0])
             distance = np.sqrt(u * u + v * v + z * z)
         else:
-            s = 1 / _upper_envelope(np.stack((x, y, np.ones_like(z)), axis=-1) / (z + d)[..., None], u[0], v[:, 0])
+            s = 1 / _upper_envelope(
+                np.stack((x, y, np.ones_like(z)), axis=-1) / (z + d)[..., None], u[0], v[:, 0]
+            )
             distance = np.sqrt(s * s * (u * u + v * v) + (s - d) ** 2)
         return np.where(rays.inside & (distance < r), r - distance, np.nan).astype(np.float32)
 
@@ -167,7 +171,9 @@ def place(
     return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
 
 
-def stated_ball(skin_radius_mm: float, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float) -> Ball:
+def stated_ball(
+    skin_radius_mm: float, x_mm: float, y_mm: float, depth_mm: float, radius_mm: float
+) -> Ball:
     """Place a ball pressed along -z (docs/reference/calibration-files.md defines its depth)."""
     return Ball(x_mm, y_mm, skin_z_mm(skin_radius_mm, x_mm, y_mm) - depth_mm + radius_mm, radius_mm)
 
@@ -176,8 +182,15 @@ def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: fl
     """Place a ball in the direction from O of the middle of its contact, which is also that of its centre."""
     reach = skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
-        reach = stated_ball(skin_radius_mm, reach * along[0], reach * along[1], depth_mm, radius_mm).z_mm / along[2]
-    return stated_ball(skin_radius_mm, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm)
+        reach = (
+            stated_ball(
+                skin_radius_mm, reach * along[0], reach * along[1], depth_mm, radius_mm
+            ).z_mm
+            / along[2]
+        )
+    return stated_ball(
+        skin_radius_mm, float(reach * along[0]), float(reach * along[1]), depth_mm, radius_mm
+    )
 
 
 def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
@@ -185,7 +198,9 @@ def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS
     rays = disc_rays(disc_map.map_grid(geometry.disc, cells), geometry)
     if not isinstance(placed, Ball):
         return placed.height_mm(rays, geometry)
-    height = ball_height_along(geometry, placed, rays.u.astype(np.float64), rays.v.astype(np.float64))
+    height = ball_height_along(
+        geometry, placed, rays.u.astype(np.float64), rays.v.astype(np.float64)
+    )
     return np.where(rays.inside, height, np.nan).astype(np.float32)
 
 
@@ -317,12 +332,18 @@ def printables() -> tuple[Printable, ...]:
     for radius_mm in (3.0, 6.0, 9.0):
         neck_mm = min(STEM_RADIUS_MM, _NECK * radius_mm)
         polar = np.linspace(0, math.pi - math.asin(neck_mm / radius_mm), _STEPS).tolist()
-        rings = [level(circle(radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar]
+        rings = [
+            level(circle(radius_mm * math.sin(a)), radius_mm * (1 - math.cos(a))) for a in polar
+        ]
         rings.append(level(circle(neck_mm), float(rings[-1][0, 2]) + _SHOULDER_MM))
-        made.append(_on_a_stem(f"ball_{radius_mm:g}", {"shape": "ball", "radius_mm": radius_mm}, rings))
+        made.append(
+            _on_a_stem(f"ball_{radius_mm:g}", {"shape": "ball", "radius_mm": radius_mm}, rings)
+        )
     for radius_mm in (3.0, 5.0):
         rings = [level(circle(radius_mm), z) for z in (0.0, _SHOULDER_MM)]
-        made.append(_on_a_stem(f"flat_{radius_mm:g}", {"shape": "cylinder", "radius_mm": radius_mm}, rings))
+        made.append(
+            _on_a_stem(f"flat_{radius_mm:g}", {"shape": "cylinder", "radius_mm": radius_mm}, rings)
+        )
     rings = [level(_rectangle(6.0, 6.0), z) for z in (0.0, _SHOULDER_MM)]
     made.append(_on_a_stem("square_6", {"shape": "box", "length_mm": 6.0, "width_mm": 6.0}, rings))
     # A bar is round below its axis and keeps its full width above.
@@ -354,8 +375,12 @@ def planned_presses() -> tuple[Planned, ...]:
         for turn in range(len(_DEPTHS_MM)):
             k = which + len(names) * turn
             rho_mm = _REACH_MM * math.sqrt((k + 0.5) / count)
-            x_mm, y_mm = (round(rho_mm * part, 1) for part in (math.cos(k * golden), math.sin(k * golden)))
-            presses.append(Planned(name, x_mm, y_mm, _DEPTHS_MM[(turn + 2 * which) % len(_DEPTHS_MM)]))
+            x_mm, y_mm = (
+                round(rho_mm * part, 1) for part in (math.cos(k * golden), math.sin(k * golden))
+            )
+            presses.append(
+                Planned(name, x_mm, y_mm, _DEPTHS_MM[(turn + 2 * which) % len(_DEPTHS_MM)])
+            )
     return tuple(presses)
 
 
@@ -364,7 +389,9 @@ def _on_a_stem(name: str, entry: Mapping[str, str | float], rings: list[F64]) ->
     stem = [level(circle(STEM_RADIUS_MM), z) for z in (top_mm, LENGTH_MM)]
     triangles = surface([*rings, *stem])
     a, b, c = np.moveaxis(triangles, 1, 0)
-    solid = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12  # tips and edges have faces without area
+    solid = (
+        np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12
+    )  # tips and edges have faces without area
     return Printable(name, entry, triangles[solid])
 
 

@@ -22,7 +22,9 @@ def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
     first_mm = replace(press, depth_mm=r / 2).placed(r).first_touch_mm(r)
     if not math.hypot(press.x_mm or 0.0, press.y_mm or 0.0) < r:
         expected = f"expected a place within the skin's radius of {r:g} mm"
-        raise ConfigError(f"{press.name}: x_mm, y_mm: found {press.x_mm:g}, {press.y_mm:g} mm, {expected}")
+        raise ConfigError(
+            f"{press.name}: x_mm, y_mm: found {press.x_mm:g}, {press.y_mm:g} mm, {expected}"
+        )
     return replace(press, depth_mm=press.depth_mm + first_mm)
 
 
@@ -51,17 +53,25 @@ class FixedIndenter:
     def touch(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Touch:
         """The press of a sensor held at this pose. Raises ValueError if the indenter is not over the skin."""
         x_mm, y_mm, z_mm = (float(v) for v in base_T_sensor.inverse().apply(self.point_mm))
-        return Touch(x_mm, y_mm, _over_skin_mm(x_mm, y_mm, skin_radius_mm) - (z_mm - self.ball_radius_mm))
+        return Touch(
+            x_mm, y_mm, _over_skin_mm(x_mm, y_mm, skin_radius_mm) - (z_mm - self.ball_radius_mm)
+        )
 
 
-def fixed_indenter(base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float) -> FixedIndenter:
+def fixed_indenter(
+    base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float
+) -> FixedIndenter:
     """The indenter that makes the stated press. Raises ValueError if the press is not over the skin."""
-    z_mm = _over_skin_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
+    z_mm = (
+        _over_skin_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
+    )
     point_mm = base_T_sensor.apply(np.array((stated.x_mm, stated.y_mm, z_mm)))
     return FixedIndenter(point_mm, ball_radius_mm, base_T_sensor)
 
 
 def _over_skin_mm(x_mm: float, y_mm: float, skin_radius_mm: float) -> float:
     if not (z_mm := skin_z_mm(skin_radius_mm, x_mm, y_mm)) > 0:
-        raise ValueError(f"x {x_mm:.1f}, y {y_mm:.1f} mm lies outside a skin of radius {skin_radius_mm:g} mm")
+        raise ValueError(
+            f"x {x_mm:.1f}, y {y_mm:.1f} mm lies outside a skin of radius {skin_radius_mm:g} mm"
+        )
     return z_mm

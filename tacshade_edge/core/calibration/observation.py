@@ -32,7 +32,9 @@ _USUAL_BALL_RADII = 0.3
 def screened_poisson(change: F32, reach_cells: float) -> F32:
     """Solve ψ - ℓ² ∇²ψ = change by a cosine transform (mirrored borders): a mean over a neighbourhood of ℓ cells."""
     rows, cols = change.shape
-    even = cv2.copyMakeBorder(change, 0, rows % 2, 0, cols % 2, cv2.BORDER_REPLICATE)  # cv2.dct takes even sizes
+    even = cv2.copyMakeBorder(
+        change, 0, rows % 2, 0, cols % 2, cv2.BORDER_REPLICATE
+    )  # cv2.dct takes even sizes
     spectrum = cv2.dct(even)
     n, m = even.shape
     ky = 2 - 2 * np.cos(np.pi * np.arange(n, dtype=np.float32) / n)
@@ -85,9 +87,15 @@ class PressObservation:
     y_mm: float | None
     indenter: str = ""  # its name; empty for a ball
     touch_mm: float = 0.0  # depth at which another indenter first touches the skin
-    reach_mm: float = 0.0  # greatest distance from (x, y) at which another indenter may brighten the skin most
-    seen_depth_mm: float = math.nan  # greatest height that a network sees; it locates the press far more exactly
-    ball_factor: float = math.nan  # radius that fits the heights best, at any factor on them, over the stated one
+    reach_mm: float = (
+        0.0  # greatest distance from (x, y) at which another indenter may brighten the skin most
+    )
+    seen_depth_mm: float = (
+        math.nan
+    )  # greatest height that a network sees; it locates the press far more exactly
+    ball_factor: float = (
+        math.nan
+    )  # radius that fits the heights best, at any factor on them, over the stated one
     misfit_ratio: float = 1.0  # how many times worse the stated radius fits
     # (3, N): column and row from the disc's centre in px, and height in mm, of the cells where a network sees contact
     seen_cells: F64 = field(default_factory=lambda: np.zeros((3, 0)), compare=False)
@@ -106,13 +114,21 @@ class PressObservation:
 
     def place_error_mm(self, x_mm: float, y_mm: float) -> float:
         """Distance in mm from the located place to (x, y), less the reach of an indenter there."""
-        return max(math.hypot(self.located_x_mm - x_mm, self.located_y_mm - y_mm) - self.reach_mm, 0.0)
+        return max(
+            math.hypot(self.located_x_mm - x_mm, self.located_y_mm - y_mm) - self.reach_mm, 0.0
+        )
 
 
-def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPress) -> PressObservation:
+def observe_press(
+    preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPress
+) -> PressObservation:
     """Measure the change in the image of a press with the sensor's preprocessor and grey maps."""
     geometry = preprocessor.calibration.geometry
-    reach = REACH_RADII * geometry.skin_radius_mm / (preprocessor.profile.stride_px * geometry.mm_per_px)
+    reach = (
+        REACH_RADII
+        * geometry.skin_radius_mm
+        / (preprocessor.profile.stride_px * geometry.mm_per_px)
+    )
     maps = mapper.maps(preprocessor.preprocess(preprocessor.grey(press.image)))
     change = screened_change(maps, reach)
     bright = screened_brightening(maps, reach)
@@ -123,7 +139,8 @@ def observe_press(preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPr
         name=press.name,
         change_grey=max(float(change.max()), 1e-3),
         brightening_grey=max(float(bright.max()), 0.1),
-        bright_mm2=max(float(np.count_nonzero(bright > 0.5 * bright.max())), 1.0) * preprocessor.cell_mm2,
+        bright_mm2=max(float(np.count_nonzero(bright > 0.5 * bright.max())), 1.0)
+        * preprocessor.cell_mm2,
         located_x_mm=float(located[0]),
         located_y_mm=float(located[1]),
         radius_mm=press.radius_mm,
@@ -166,5 +183,8 @@ def first_touch_mm(observations: Sequence[PressObservation], geometry: Geometry)
     """Depth (as in PRESSES.csv) at which each indenter first touches, mm: for a ball 0 on the axis, less off it."""
     r = geometry.skin_radius_mm
     return np.array(
-        [o.touch_mm if o.indenter else Ball(*o.place_mm, 0, o.radius_mm).first_touch_mm(r) for o in observations]
+        [
+            o.touch_mm if o.indenter else Ball(*o.place_mm, 0, o.radius_mm).first_touch_mm(r)
+            for o in observations
+        ]
     )

@@ -39,7 +39,9 @@ def missing_coverage(presses: Sequence[PressObservation], geometry: Geometry) ->
     depths = np.array([press.depth_mm for press in presses])
     few = len(presses) < _FEW_PRESSES
     lines = (
-        f"{len(presses)} presses: 20 to 40 make the depth and its error more certain" if few else "",
+        f"{len(presses)} presses: 20 to 40 make the depth and its error more certain"
+        if few
+        else "",
         _missing_places(places, geometry),
         _missing_depths(float(depths.min()), float(depths.max()), geometry),
         _missing_sizes(presses, geometry),
@@ -57,7 +59,9 @@ def _missing_places(places: F64, geometry: Geometry) -> str:
         return f"the presses lie close together, around x {x_mm}, y {y_mm} mm: add some {reach}"
     low, high = places.min(axis=0), places.max(axis=0)
     extremes = {"x < 0": -low[0], "x > 0": high[0], "y < 0": -low[1], "y > 0": high[1]}
-    sides = " or ".join(side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm)
+    sides = " or ".join(
+        side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm
+    )
     return f"no press lies at {sides}: add some {reach}" if sides else ""
 
 
@@ -101,7 +105,9 @@ UNCALIBRATED = Quality(
 """The quality of a calibration without presses."""
 
 
-def assess(fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]) -> Quality:
+def assess(
+    fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]
+) -> Quality:
     """Grade a fit to presses, given what they do not cover, and the depth error of each in the graded profile."""
     if GRADED_PROFILE not in fit.profiles:
         return Quality(

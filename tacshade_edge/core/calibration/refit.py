@@ -60,7 +60,9 @@ def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
     return np.asarray(middle / np.linalg.norm(middle))
 
 
-def press_factor(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[float, float] | None:
+def press_factor(
+    inverse: Inverse, geometry: Geometry, placed: Placed
+) -> tuple[float, float] | None:
     """The weight of a press in `fit_factor` and its factor; None if contact and indenter hardly overlap."""
     truth, use = known_cells(inverse, geometry, placed)
     cells = int(np.count_nonzero(use))
@@ -90,9 +92,13 @@ def fit_factor(presses: Sequence[tuple[float, float]]) -> float | None:
     squares, factors = np.array(presses).T
     logs = np.log(np.maximum(factors, np.finfo(float).tiny))
     middle = _weighted_quantile(logs, squares, 0.5)
-    deviation = max(1.4826 * _weighted_quantile(np.abs(logs - middle), squares, 0.5), _LEAST_DEVIATION)
+    deviation = max(
+        1.4826 * _weighted_quantile(np.abs(logs - middle), squares, 0.5), _LEAST_DEVIATION
+    )
     for _ in range(_ITERATIONS):
-        weight = squares * np.minimum(1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9))
+        weight = squares * np.minimum(
+            1, _HUBER * deviation / np.maximum(np.abs(logs - middle), 1e-9)
+        )
         middle = float(weight @ logs / weight.sum())
     effective_presses = float(weight.sum() ** 2 / (weight @ weight))
     doubt = SHAPE_DEVIATION**2 + deviation**2 / effective_presses
@@ -139,7 +145,9 @@ class Refit:
 
     factor: float  # on h
     fit: ProfileFit
-    errors_mm: tuple[tuple[str, float], ...]  # name of a press, and greatest h found with the others' factor less true
+    errors_mm: tuple[
+        tuple[str, float], ...
+    ]  # name of a press, and greatest h found with the others' factor less true
     found_mm: tuple[float, ...]  # greatest h without a refit
     placed: tuple[Placed, ...]  # indenters at their stated places
     error_scale: float | None  # factor on σ; None if the network has no model of its errors
@@ -159,12 +167,16 @@ def refit_profile(
         inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
         if parts[-1] > UNTRUSTED_UNLEARNT:
-            warnings.append(f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out")
+            warnings.append(
+                f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out"
+            )
             continue
         at = placed_press(geometry, inverse, press)
         if at and (row := press_factor(inverse, geometry, at)):
             rows.append(row)
-            used.append((press.name, inverse, at, inverse.height_mm[inverse.contact_logit > 0].max()))
+            used.append(
+                (press.name, inverse, at, inverse.height_mm[inverse.contact_logit > 0].max())
+            )
     factor = fit_factor(rows)
     if factor is None:
         return None
@@ -190,13 +202,26 @@ def refit_profile(
 
 
 def _errors_in_sigma(
-    model: SigmaModel, inverse: Inverse, factor: float, placed: Placed, inside: Bool, geometry: Geometry
+    model: SigmaModel,
+    inverse: Inverse,
+    factor: float,
+    placed: Placed,
+    inside: Bool,
+    geometry: Geometry,
 ) -> F64:
     """|error| over σ of scale 1 of a press, at the cells of `press_rows` inside the image."""
-    height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0)
+    height = np.where(
+        inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0
+    )
     truth, use = known_cells(inverse, geometry, placed)
     return errors_in_sigma(
-        model, height.astype(np.float32), truth, inverse.contact_logit, inverse.untrusted_logit, use, geometry
+        model,
+        height.astype(np.float32),
+        truth,
+        inverse.contact_logit,
+        inverse.untrusted_logit,
+        use,
+        geometry,
     )
 
 
@@ -205,4 +230,8 @@ def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> Pla
     if press.indenter or press.x_mm is not None:
         return press.placed(geometry.skin_radius_mm)
     along = contact_direction(geometry, inverse)
-    return None if along is None else ball_along(geometry.skin_radius_mm, along, press.depth_mm, press.radius_mm)
+    return (
+        None
+        if along is None
+        else ball_along(geometry.skin_radius_mm, along, press.depth_mm, press.radius_mm)
+    )

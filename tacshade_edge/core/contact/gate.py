@@ -58,7 +58,9 @@ class ContactGate:
 
     def _windows(self, pixels: U8) -> F32:
         """How much the pixels of each voting cell's window differ from the reference, 0 to 255."""
-        changed = cv2.absdiff(pixels * np.uint8(255), self._reference)  # OpenCV takes four rows of one for a scalar
+        changed = cv2.absdiff(
+            pixels * np.uint8(255), self._reference
+        )  # OpenCV takes four rows of one for a scalar
         preprocessor = self._preprocessor
         return preprocessor.voted(
             preprocessor.ratio(preprocessor.integrator.integrate(changed, self._space))
@@ -90,12 +92,18 @@ class UnchangedSkin:
 
     def shown_in(self, grey: U8) -> bool:
         """Whether an image, uint8 (H, W), shows the same untouched skin."""
-        return self._kept is not None and cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= UNCHANGED_LEVELS
+        return (
+            self._kept is not None
+            and cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= UNCHANGED_LEVELS
+        )
 
     def keep(self, grey: U8, degraded: Reason | None) -> None:
         """Remember an image, uint8 (H, W), that was found valid and without contact."""
         shown = self._looked_at(grey)
-        self._kept, self.degraded = shown.copy() if shown.size else None, degraded  # some tiny images leave nothing
+        self._kept, self.degraded = (
+            shown.copy() if shown.size else None,
+            degraded,
+        )  # some tiny images leave nothing
 
     def _looked_at(self, grey: U8) -> U8:
         return (grey if self._halved else halved_image(grey))[self._box]

@@ -13,7 +13,17 @@ import numpy as np
 
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, skin_planes
-from tacshade_edge.types import F32, F64, I64, U16, Bool, Geometry, ObjectCloud, TouchedObject, frozen
+from tacshade_edge.types import (
+    F32,
+    F64,
+    I64,
+    U16,
+    Bool,
+    Geometry,
+    ObjectCloud,
+    TouchedObject,
+    frozen,
+)
 
 TWIST_CELLS = 6  # least number of cells for a twist
 BINS = 256
@@ -42,7 +52,10 @@ def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[S
         mean = [total / count for total in totals]
         means.append(list(map(add, origin, mean)))
         made.append(
-            [[p - m * t for p, t in zip(row, totals, strict=False)] for row, m in zip(products, mean, strict=True)]
+            [
+                [p - m * t for p, t in zip(row, totals, strict=False)]
+                for row, m in zip(products, mean, strict=True)
+            ]
         )
     return means, made
 
@@ -112,7 +125,9 @@ def find_objects(
     heights, areas = height.take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
     moved = None if shear_mm is None else shear_mm[box].reshape(-1, 2).take(cells, axis=0).T
-    return Objects(labelled, cloud, _described(x_y_z, cloud.labels, heights, areas, moved), volume_mm3)
+    return Objects(
+        labelled, cloud, _described(x_y_z, cloud.labels, heights, areas, moved), volume_mm3
+    )
 
 
 def bounding_box(contact: Bool) -> Box | None:
@@ -180,9 +195,12 @@ def _described(
     ends = np.bincount(labels).cumsum()
     starts = ends[:-1]
     means, spread = spreads(
-        np.concatenate((x_y_z, *([] if shear_mm is None else [shear_mm])), dtype=np.float64), ends[1:].tolist()
+        np.concatenate((x_y_z, *([] if shear_mm is None else [shear_mm])), dtype=np.float64),
+        ends[1:].tolist(),
     )
-    highest, lowest = (extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum))
+    highest, lowest = (
+        extreme.reduceat(x_y_z, starts, axis=1) for extreme in (np.maximum, np.minimum)
+    )
     columns: tuple[list[Any], ...] = (
         list(map(tuple, (highest.astype(np.float64) - lowest).T.tolist())),
         np.maximum.reduceat(height_mm, starts).tolist(),
@@ -193,7 +211,9 @@ def _described(
     for label, (extent, depth, area, normal) in enumerate(zip(*columns, strict=True)):
         x, y, z, *shear = means[label]
         moved: tuple[Any, ...] = (
-            (tuple(shear), *rigid_motion(spread[label], int(ends[label + 1] - ends[label]))) if shear else ()
+            (tuple(shear), *rigid_motion(spread[label], int(ends[label + 1] - ends[label])))
+            if shear
+            else ()
         )
         made.append(TouchedObject(label + 1, (x, y, z), extent, depth, area, normal, *moved))
     return tuple(made)

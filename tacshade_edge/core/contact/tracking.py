@@ -18,12 +18,18 @@ from operator import mul
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
 LEAST_DEPTH_MM = 0.2  # to divide by; less is noise
-SPANS_NS = (70_000_000, 150_000_000, 250_000_000)  # of a speed; the shortest that stands out of the noise shows a slip
+SPANS_NS = (
+    70_000_000,
+    150_000_000,
+    250_000_000,
+)  # of a speed; the shortest that stands out of the noise shows a slip
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0  # least speed of the imprint over the material that is a slip
 LEAST_SHEAR_MM = 0.3  # least drag of the skin under a sliding contact
 FULL_PART = 0.6  # least part of its motion that a wholly sliding contact makes over the material
-NOISE_SPREADS = 5.5  # speeds from noise alone are below this many deviations in all but one of a million frames
+NOISE_SPREADS = (
+    5.5  # speeds from noise alone are below this many deviations in all but one of a million frames
+)
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
 """Initial noise of an imprint's place along each axis, and the number of frames over which it is learned."""
 PARTIAL_STRAIN = 0.12  # ratio of strain to shear above which only part of the contact holds
@@ -44,7 +50,9 @@ _Seen = deque[tuple[int, float, float, float, float, float]]
 @dataclass(slots=True)
 class _Track:
     number: int
-    seen: _Seen = field(default_factory=deque)  # time, the imprint's place in the material, the contact's place, depth
+    seen: _Seen = field(
+        default_factory=deque
+    )  # time, the imprint's place in the material, the contact's place, depth
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
 
@@ -62,7 +70,9 @@ class ContactTracker:
         """
         left, followed = list(self._tracks), []
         for touched in objects:
-            track = min(left, key=lambda one: math.dist(one.at_mm, touched.centroid_mm[:2]), default=None)
+            track = min(
+                left, key=lambda one: math.dist(one.at_mm, touched.centroid_mm[:2]), default=None
+            )
             if track is None or math.dist(track.at_mm, touched.centroid_mm[:2]) > REACH_MM:
                 self._count += 1
                 track = _Track(self._count)
@@ -70,7 +80,10 @@ class ContactTracker:
                 left.remove(track)
             followed.append(track)
         self._tracks = followed
-        return tuple(_followed(track, t_ns, touched) for track, touched in zip(followed, objects, strict=True))
+        return tuple(
+            _followed(track, t_ns, touched)
+            for track, touched in zip(followed, objects, strict=True)
+        )
 
 
 def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject:
@@ -99,7 +112,9 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
     return sum((p - 2 * q + r) ** 2 for p, q, r in zip(a, b, c, strict=True)) / 12
 
 
-def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tuple[bool, float | None]:
+def _slide(
+    seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]
+) -> tuple[bool, float | None]:
     """Whether the whole contact slides, and the least-squares speed of its imprint over the material (None until
     known).
     """
@@ -109,7 +124,9 @@ def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tupl
     way_x, way_y = (part / size if size >= LEAST_SHEAR_MM else 0.0 for part in shear_mm)
     t_ns, *places = zip(*seen, strict=True)
     speed = 0.0
-    for span_ns in SPANS_NS if size >= LEAST_SHEAR_MM else SPANS_NS[-1:]:  # undragged skin does not slide
+    for span_ns in (
+        SPANS_NS if size >= LEAST_SHEAR_MM else SPANS_NS[-1:]
+    ):  # undragged skin does not slide
         first = min(bisect_left(t_ns, t_ns[-1] - span_ns), len(seen) - LEAST_FRAMES)
         t_s = [(each - t_ns[-1]) * 1e-9 for each in t_ns[first:]]
         mean_s = sum(t_s) / len(t_s)
@@ -117,7 +134,9 @@ def _slide(seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]) -> tupl
         spread = sum(map(mul, t_s, t_s))
         if spread <= 0:
             return False, None
-        held_x, held_y, moved_x, moved_y, deeper = (sum(map(mul, t_s, place[first:])) / spread for place in places)
+        held_x, held_y, moved_x, moved_y, deeper = (
+            sum(map(mul, t_s, place[first:])) / spread for place in places
+        )
         speed = math.hypot(held_x, held_y)
         loosened = size * max(0.0, -deeper) / max(places[-1][-1], LEAST_DEPTH_MM)
         moved = moved_x * way_x + moved_y * way_y

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from tacshade_edge.core.depth.sigma import SigmaModel
 from tacshade_edge.types import F32, Bool, frozen
 
-Mark = Callable[[str], None]  # called with a stage's name at its end, so that a caller with a clock can time it
+Mark = Callable[
+    [str], None
+]  # called with a stage's name at its end, so that a caller with a clock can time it
 Features = list[F32]  # collects the features for a touch model, network by network
 
 

@@ -34,7 +34,9 @@ def hybrid_sfs(g_hn: F64) -> tuple[F64, int]:
 
     finite = np.isfinite(g_hn)
     repaired = int(finite.size - np.count_nonzero(finite))
-    with np.errstate(all="ignore"):  # overflow is normal for this method; it is repaired and counted below
+    with np.errstate(
+        all="ignore"
+    ):  # overflow is normal for this method; it is repaired and counted below
         magnitude = np.abs(_iterate(np.where(finite, g_hn, 0.0).astype(np.complex128)))
     good = np.isfinite(magnitude)
     repaired += int(good.size - np.count_nonzero(good))
@@ -81,7 +83,8 @@ def finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
     """Eq. 10 with 0 where g_d or g_0 is not finite, and the number of such cells."""
     finite = np.isfinite(maps.g_d) & np.isfinite(maps.g0)
     g_d, g0 = (
-        np.where(finite, np.clip(values, low, 255), np.float32(0)) for values, low in ((maps.g_d, -255), (maps.g0, 0))
+        np.where(finite, np.clip(values, low, 255), np.float32(0))
+        for values, low in ((maps.g_d, -255), (maps.g0, 0))
     )
     return shape_grey(g_d, g0, maps.inside), int(finite.size - np.count_nonzero(finite))
 
@@ -101,7 +104,9 @@ class HybridSfs:
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
+    def solve(
+        self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
+    ) -> Depth:
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
         return hybrid_depth(maps, self._alpha_mm)

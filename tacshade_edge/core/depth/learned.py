@@ -59,7 +59,9 @@ def unfold(maps: F32, by: int) -> F32:
 class _Prepared:
     """A network prepared for one sensor, from the share of white of the unloaded skin on `disc_map.map_grid`."""
 
-    def __init__(self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32) -> None:
+    def __init__(
+        self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32
+    ) -> None:
         self._network = network
         self._mm = scale_mm(geometry)
         self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
@@ -108,14 +110,22 @@ class LearnedSolver:
     """
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
-        camera, calibration, profile = preprocessor.camera, preprocessor.calibration, preprocessor.profile
+        camera, calibration, profile = (
+            preprocessor.camera,
+            preprocessor.calibration,
+            preprocessor.profile,
+        )
         if network is None or network.shear is None:
             raise ValueError(f"profile {profile.name} needs a network")
         self.grid = disc_map.map_grid(camera.geometry.disc, profile.cells)
         self._inside = rays_in_image(self.grid, camera).inside
-        self._cells = CellMeans(preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells))
+        self._cells = CellMeans(
+            preprocessor.integrator, disc_map.map_grid(calibration.geometry.disc, profile.cells)
+        )
         self.reference: F32 = self._cells.means(preprocessor.reference_white) / np.float32(255)
-        self._inverse = LearnedInverse(network, calibration.geometry, calibration.pitch_px, self.reference)
+        self._inverse = LearnedInverse(
+            network, calibration.geometry, calibration.pitch_px, self.reference
+        )
         # Prepared here, so that no frame waits for it.
         shear = network.shear
         whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
@@ -124,8 +134,12 @@ class LearnedSolver:
         at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
         self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
         fitted = camera.fitted.get(profile.name)
-        self._factor = np.float32(fitted.factor if fitted else camera.factors.get(profile.name, 1.0))
-        self._latest: tuple[Preprocessed, F32] | None = None  # and its white: depth and shear may see the same
+        self._factor = np.float32(
+            fitted.factor if fitted else camera.factors.get(profile.name, 1.0)
+        )
+        self._latest: tuple[Preprocessed, F32] | None = (
+            None  # and its white: depth and shear may see the same
+        )
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
 
     def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
@@ -138,7 +152,9 @@ class LearnedSolver:
             self._latest = preprocessed, self._cells.means(preprocessed.white)
         return self._latest[1]
 
-    def solve(self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None) -> Depth:
+    def solve(
+        self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
+    ) -> Depth:
         inverse = self.inverse(preprocessed, features)
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)

@@ -39,16 +39,27 @@ class SigmaModel:
 
     def __post_init__(self) -> None:
         numbers = (*self.weights, self.scale_without_presses, self.press_offset, self.press_slope)
-        if not all(map(math.isfinite, numbers)) or self.scale_without_presses <= 0 or len(self.weights) != len(TERMS):
-            raise ValueError(f"found {self}, expected finite numbers, a weight for each of {', '.join(TERMS)}")
+        if (
+            not all(map(math.isfinite, numbers))
+            or self.scale_without_presses <= 0
+            or len(self.weights) != len(TERMS)
+        ):
+            raise ValueError(
+                f"found {self}, expected finite numbers, a weight for each of {', '.join(TERMS)}"
+            )
 
 
-def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry) -> F32:
+def terms(
+    height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry
+) -> F32:
     """The x_i of the chosen cells, (N, len(TERMS)), finite; heights are NaN or 0 outside the disc."""
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
     first_row, first_col = max(top - 1, 0), max(left - 1, 0)
-    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)  # with each cell's neighbours
+    box = (
+        slice(first_row, top + height + 1),
+        slice(first_col, left + width + 1),
+    )  # with each cell's neighbours
     near, at = np.fmax(height_mm[box], np.float32(0)), np.flatnonzero(where[box])
     along, across = (
         cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE).take(at)
@@ -63,7 +74,10 @@ def terms(height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool,
     x[1] = np.log(_LEAST_HEIGHT_MM + near.take(at) / np.float32(disc_map.skin_scale(geometry)))
     x[2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
     untrusted = untrusted_logit[(row + first_row) // each, (col + first_col) // each]
-    for k, logit, (low, high) in ((3, contact_logit[box].take(at), _CONTACT_RANGE), (4, untrusted, _UNTRUSTED_RANGE)):
+    for k, logit, (low, high) in (
+        (3, contact_logit[box].take(at), _CONTACT_RANGE),
+        (4, untrusted, _UNTRUSTED_RANGE),
+    ):
         np.maximum(np.fmin(logit, np.float32(high)), np.float32(low), out=x[k])  # fmin replaces NaN
     return x.T
 

@@ -22,14 +22,21 @@ class Judges:
     """
 
     def __init__(
-        self, reference_grey: U8, disc: Disc, pitch_px: float | None, camera_px: int = 1, unloaded: bool = False
+        self,
+        reference_grey: U8,
+        disc: Disc,
+        pitch_px: float | None,
+        camera_px: int = 1,
+        unloaded: bool = False,
     ) -> None:
         mask = disc_mask(reference_grey.shape[0], reference_grey.shape[1], disc)
         self._shape = reference_grey.shape
         self.picture = PictureJudge(reference_grey, mask)
         self.light = LightJudge(reference_grey, mask)
         self.camera = CameraJudge(reference_grey, disc, camera_px)
-        self.skin = pitch_px and PlainSkinJudge(reference_grey, mask, disc, pitch_px, camera_px, unloaded)
+        self.skin = pitch_px and PlainSkinJudge(
+            reference_grey, mask, disc, pitch_px, camera_px, unloaded
+        )
 
     def measured(self, grey: U8) -> tuple[Measured, ...]:
         """What they measure of an image, uint8 (H, W) of the reference's size; nothing after the first that refuses."""
@@ -48,7 +55,12 @@ class Judges:
 
 def plain_judges(calibration: Calibration, *, unloaded: bool = False) -> Judges:
     """Those of a sensor's images where no network runs."""
-    return Judges(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px, unloaded=unloaded)
+    return Judges(
+        calibration.reference_grey,
+        calibration.geometry.disc,
+        calibration.pitch_px,
+        unloaded=unloaded,
+    )
 
 
 def first_reason(measured: Iterable[Measured]) -> Reason | None:

@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tacshade_edge.core.frame_check.picture import LIGHT_HIGH, LIGHT_LOW, Measured, light_drift_reason
+from tacshade_edge.core.frame_check.picture import (
+    LIGHT_HIGH,
+    LIGHT_LOW,
+    Measured,
+    light_drift_reason,
+)
 from tacshade_edge.core.image.white import eighth, median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, frozen
@@ -60,16 +65,30 @@ class CameraJudge:
         height, width = reference_grey.shape
         offsets = range(2 * reach, -1, -step)  # the first shift moves the picture up and left
         shifted = np.stack(
-            [eighth(wide[r : r + height, c : c + width]).take(self._at) for r in offsets for c in offsets]
+            [
+                eighth(wide[r : r + height, c : c + width]).take(self._at)
+                for r in offsets
+                for c in offsets
+            ]
         )
         # Each shift in a light that may fall more on one side: 1, and the row and the column, times the picture.
         plane = np.stack(np.broadcast_arrays(1.0, rows[:, None] - disc.row_c, cols - disc.col_c))
-        plane = plane.reshape(3, -1)[:, self._at] / np.array([[1.0], [disc.radius_px], [disc.radius_px]])
+        plane = plane.reshape(3, -1)[:, self._at] / np.array(
+            [[1.0], [disc.radius_px], [disc.radius_px]]
+        )
         self._lights: F32 = (shifted[:, None] * plane).astype(np.float32)  # (shifts, 3, blocks)
-        self._from_lights = np.linalg.pinv(self._lights @ self._lights.transpose(0, 2, 1), hermitian=True)
+        self._from_lights = np.linalg.pinv(
+            self._lights @ self._lights.transpose(0, 2, 1), hermitian=True
+        )
         middle = len(shifted) // 2
-        slopes = (shifted[middle + k].astype(np.float32) - shifted[middle - k] for k in (1, self._side))
-        slope = min(float(np.sqrt(np.mean(each**2))) for each in slopes) if self._usual.size >= LEAST_BLOCKS else 0.0
+        slopes = (
+            shifted[middle + k].astype(np.float32) - shifted[middle - k] for k in (1, self._side)
+        )
+        slope = (
+            min(float(np.sqrt(np.mean(each**2))) for each in slopes)
+            if self._usual.size >= LEAST_BLOCKS
+            else 0.0
+        )
         self._slope = slope / (2 * self._step_px)
 
     def measured(self, eighths: U8) -> tuple[Measured, ...]:
@@ -88,8 +107,17 @@ class CameraJudge:
         moved = f"the camera has moved by {shift_px:.1f} px since the reference was taken"
         other = f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the reference"
         return (
-            Measured("camera", "shift, px", shift_px, 0, LEAST_PX, Reason(ReasonCode.CAMERA_SHIFT, moved)),
-            Measured("camera", "other surround", part, 0, SURROUND_PART, Reason(ReasonCode.SURROUND, other)),
+            Measured(
+                "camera", "shift, px", shift_px, 0, LEAST_PX, Reason(ReasonCode.CAMERA_SHIFT, moved)
+            ),
+            Measured(
+                "camera",
+                "other surround",
+                part,
+                0,
+                SURROUND_PART,
+                Reason(ReasonCode.SURROUND, other),
+            ),
         )
 
     def _shift_px(self, found: F32) -> float:
@@ -140,7 +168,9 @@ class Drift:
     """The change of an image since the reference."""
 
     still_part: float = 0.0  # part of the pattern that moved as one piece; if 0, nothing was measured: all is neutral
-    moved_px: float = 0.0  # greatest movement of a point of the visible circle by shift, turn and zoom together
+    moved_px: float = (
+        0.0  # greatest movement of a point of the visible circle by shift, turn and zoom together
+    )
     row_px: float = 0.0  # shift of the circle's centre
     col_px: float = 0.0
     turn_deg: float = 0.0
@@ -163,7 +193,10 @@ class Drift:
 def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
     """Prepare a reference. `grey`: uint8 (H, W). `pitch_px`: marker pitch."""
     height, width = grey.shape
-    reach, step = _RHO_MAX * disc.radius_px - _WINDOW_PITCHES * pitch_px / 2, max(_POINT_PITCHES * pitch_px, 2.0)
+    reach, step = (
+        _RHO_MAX * disc.radius_px - _WINDOW_PITCHES * pitch_px / 2,
+        max(_POINT_PITCHES * pitch_px, 2.0),
+    )
     offsets = np.arange(-reach, reach + 1e-6, step)
     cols, rows = np.meshgrid(disc.col_c + offsets, disc.row_c + offsets)
     near = np.hypot(cols - disc.col_c, rows - disc.row_c) <= reach
@@ -193,7 +226,12 @@ def drift(reference: Look, grey: U8) -> Drift:
         return Drift()
     before, after = reference.points[tracked], found[:, 0][tracked]
     matrix, inliers = cv2.estimateAffinePartial2D(
-        before, after, method=cv2.RANSAC, ransacReprojThreshold=_INLIER_PX, maxIters=2000, confidence=0.999
+        before,
+        after,
+        method=cv2.RANSAC,
+        ransacReprojThreshold=_INLIER_PX,
+        maxIters=2000,
+        confidence=0.999,
     )
     if matrix is None:
         return Drift()
@@ -222,11 +260,16 @@ def drift(reference: Look, grey: U8) -> Drift:
 
 def shift_reason(found: Drift, disc: Disc) -> Reason | None:
     """Reason that the camera moved relative to the skin; None if no movement was measured."""
-    if found.shift_px <= SHIFT_PART * disc.radius_px and found.moved_px <= RIM_PART * disc.radius_px:
+    if (
+        found.shift_px <= SHIFT_PART * disc.radius_px
+        and found.moved_px <= RIM_PART * disc.radius_px
+    ):
         return None
     turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
     zoomed = f", scaled by {100 * (found.zoom - 1):+.1f} %" if abs(found.zoom - 1) > 0.005 else ""
-    return Reason(ReasonCode.CAMERA_SHIFT, f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}")
+    return Reason(
+        ReasonCode.CAMERA_SHIFT, f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}"
+    )
 
 
 def shifted_too_far(found: Drift, disc: Disc) -> bool:

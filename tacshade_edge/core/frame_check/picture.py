@@ -71,26 +71,45 @@ class PictureJudge:
     def measured(self, grey: U8) -> tuple[Measured, ...]:
         """What is measured of an image, uint8 (H, W) of the reference's size."""
         if not self._px:
-            reason = Reason(ReasonCode.NO_DISC, "disc: no pixel of the visible circle lies in the image")
+            reason = Reason(
+                ReasonCode.NO_DISC, "disc: no pixel of the visible circle lies in the image"
+            )
             return (Measured("picture", "pixels of the disc", 0, 1, math.inf, reason),)
         disc = grey[self._box]
-        mean, square = (cv2.norm(disc, kind, self._mask) / self._px for kind in (cv2.NORM_L1, cv2.NORM_L2SQR))
+        mean, square = (
+            cv2.norm(disc, kind, self._mask) / self._px for kind in (cv2.NORM_L1, cv2.NORM_L2SQR)
+        )
         std = math.sqrt(max(square - mean * mean, 0))
         saturated = 0.0
-        if square > self._saturated_part * SATURATED_LEVEL**2:  # that many saturated pixels alone exceed this
+        if (
+            square > self._saturated_part * SATURATED_LEVEL**2
+        ):  # that many saturated pixels alone exceed this
             bright = cv2.bitwise_and(cv2.inRange(disc, SATURATED_LEVEL, 255), self._mask)
             saturated = cv2.countNonZero(bright) / self._px
         step = self._step(disc)
         burnt = f"saturated: {100 * saturated:.0f} % of the disc is at grey level {SATURATED_LEVEL} or above"
-        code, word = (ReasonCode.BLACK, "black") if mean < BLACK_LEVEL else (ReasonCode.NO_CONTRAST, "no contrast")
+        code, word = (
+            (ReasonCode.BLACK, "black")
+            if mean < BLACK_LEVEL
+            else (ReasonCode.NO_CONTRAST, "no contrast")
+        )
         flat = f"{word}: mean grey level {mean:.0f}, standard deviation {std:.1f}"
         noise = f"noise: neighbouring pixels differ by {step:.0f} grey levels"
         return (
             Measured(
-                "picture", "saturated part", saturated, 0, self._saturated_part, Reason(ReasonCode.SATURATED, burnt)
+                "picture",
+                "saturated part",
+                saturated,
+                0,
+                self._saturated_part,
+                Reason(ReasonCode.SATURATED, burnt),
             ),
-            Measured("picture", "standard deviation", std, self._flat_std, math.inf, Reason(code, flat)),
-            Measured("picture", "pixel noise", step, 0, self._noise_step, Reason(ReasonCode.NOISE, noise)),
+            Measured(
+                "picture", "standard deviation", std, self._flat_std, math.inf, Reason(code, flat)
+            ),
+            Measured(
+                "picture", "pixel noise", step, 0, self._noise_step, Reason(ReasonCode.NOISE, noise)
+            ),
         )
 
     def _step(self, disc: U8) -> float:
@@ -98,7 +117,9 @@ class PictureJudge:
         if not self._pairs.size:
             return 0.0
         rows = disc[::8]
-        return level_at(np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8), self._pairs, 0.5)
+        return level_at(
+            np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8), self._pairs, 0.5
+        )
 
 
 # Beyond this change of light, the binarised image cannot be compared with the reference's.
@@ -138,7 +159,10 @@ class LightJudge:
         """What is measured of an image, uint8 (H, W), and its means over 8x8 px."""
         if not self._textured.size:
             return ()
-        least = level_at(np.ascontiguousarray(grey[::4, ::4]), self._sampled, 1 - self._bright_part) / self._bright
+        least = (
+            level_at(np.ascontiguousarray(grey[::4, ::4]), self._sampled, 1 - self._bright_part)
+            / self._bright
+        )
         most = median(eighths.take(self._textured).astype(np.float32)) / self._common
         return (
             Measured("light", "light of the brightest", least, LIGHT_LOW, math.inf, _light(least)),
@@ -150,7 +174,14 @@ def white_measured(unseen: float, drift_grey: float) -> tuple[Measured, ...]:
     """What is measured of the white: the part of the disc under glare, the common change of g in grey levels."""
     return (
         Measured("light", "part under glare", unseen, 0, UNSEEN_INVALID, _glare(unseen)),
-        Measured("light", "common change of white", abs(drift_grey), 0, DRIFT_INVALID_LEVELS, _drift(drift_grey)),
+        Measured(
+            "light",
+            "common change of white",
+            abs(drift_grey),
+            0,
+            DRIFT_INVALID_LEVELS,
+            _drift(drift_grey),
+        ),
     )
 
 
@@ -169,7 +200,9 @@ def light_drift_reason(light: float, uneven: float, contrast: float) -> Reason |
     if not COMPENSATED_LOW <= light <= COMPENSATED_HIGH:
         changes.append(f"{light:.2f} times the light")
     if uneven > UNEVEN:
-        changes.append(f"the light falls differently (it varies by {100 * uneven:.0f} % over the disc)")
+        changes.append(
+            f"the light falls differently (it varies by {100 * uneven:.0f} % over the disc)"
+        )
     if contrast < CONTRAST:
         changes.append(f"blurred or dirty ({contrast:.2f} times the contrast)")
     return Reason(ReasonCode.LIGHT_DRIFT, ", ".join(changes)) if changes else None

@@ -41,14 +41,18 @@ def map_measured(untrusted_logit: F32 | None, inside: Bool) -> tuple[Measured, .
     part = untrusted_rows_part(untrusted_logit, inside, UNTRUSTED_SURE)
     text = f"torn, or not an image from this sensor: {100 * part:.0f} % of the disc does not show its skin"
     reason = Reason(ReasonCode.TORN, text)
-    return (Measured("skin", "part of the disc without this skin", part, 0, UNTRUSTED_INVALID, reason),)
+    return (
+        Measured("skin", "part of the disc without this skin", part, 0, UNTRUSTED_INVALID, reason),
+    )
 
 
 def degraded_reason(untrusted: Bool | None, inside: Bool) -> Reason | None:
     """Why untrusted cells degrade a frame; None if it has none, or the solver reports none."""
     if untrusted is None or not (part := untrusted_part(untrusted, inside)):
         return None
-    return Reason(ReasonCode.UNTRUSTED, f"{100 * part:.1f} % of the disc does not show the sensor's skin")
+    return Reason(
+        ReasonCode.UNTRUSTED, f"{100 * part:.1f} % of the disc does not show the sensor's skin"
+    )
 
 
 def untrusted_part(untrusted: Bool, inside: Bool) -> float:
@@ -67,7 +71,9 @@ def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) 
     untrusted = coarse.repeat(each, axis=0).repeat(each, axis=1)
     cells = np.count_nonzero(inside, axis=1)
     fewest = max(LEAST_ROW_CELLS * len(inside) // disc_map.CELLS, 1)
-    rows = (np.count_nonzero(untrusted & inside, axis=1) > UNTRUSTED_ROW * cells) & (cells >= fewest)
+    rows = (np.count_nonzero(untrusted & inside, axis=1) > UNTRUSTED_ROW * cells) & (
+        cells >= fewest
+    )
     return float(cells[rows].sum() / max(int(cells.sum()), 1))
 
 
@@ -76,14 +82,27 @@ class PlainSkinJudge:
     torn.
     """
 
-    def __init__(self, reference_grey: U8, mask: Bool, disc: Disc, pitch_px: float, camera_px: int, unloaded: bool):
+    def __init__(
+        self,
+        reference_grey: U8,
+        mask: Bool,
+        disc: Disc,
+        pitch_px: float,
+        camera_px: int,
+        unloaded: bool,
+    ):
         self._camera_px = camera_px
         self._square_px = max(math.ceil(pitch_px), LEAST_SQUARE_PX)
-        shape = reference_grey.shape[0] // self._square_px, reference_grey.shape[1] // self._square_px
+        shape = (
+            reference_grey.shape[0] // self._square_px,
+            reference_grey.shape[1] // self._square_px,
+        )
         rows, cols = (self._square_px * (np.arange(count) + 0.5) - 0.5 for count in shape)
         r = np.hypot(rows[:, None] - disc.row_c, cols[None, :] - disc.col_c)
         inside = r < disc.radius_px - self._square_px * 0.7072
-        self._textured: Bool = inside & (squares(reference_grey, self._square_px)[1] >= TEXTURED_STD)
+        self._textured: Bool = inside & (
+            squares(reference_grey, self._square_px)[1] >= TEXTURED_STD
+        )
         total = np.count_nonzero(self._textured, axis=1)
         # If most of a row's squares are already flat, a contact may well hide the others.
         enough = total >= np.maximum(ROW_SQUARES, np.count_nonzero(inside, axis=1) / 2)
@@ -103,7 +122,16 @@ class PlainSkinJudge:
         empty = int(np.count_nonzero(np.count_nonzero(lost, axis=1) > self._lost_most))
         px = empty * self._square_px * self._camera_px
         text = f"torn: {px} rows across the disc show no markers"
-        made = (Measured("skin", "rows without markers", empty, 0, LOST_ROWS - 1, Reason(ReasonCode.TORN, text)),)
+        made = (
+            Measured(
+                "skin",
+                "rows without markers",
+                empty,
+                0,
+                LOST_ROWS - 1,
+                Reason(ReasonCode.TORN, text),
+            ),
+        )
         if self._rows is None:
             return made
         over = self._spikes(grey) - self._usual
@@ -111,7 +139,14 @@ class PlainSkinJudge:
         text = f"torn: row {(self._rows.start + 2 + at) * self._camera_px} does not match the rows above it"
         return (
             *made,
-            Measured("skin", "step of a row", float(over[at]), -math.inf, SPIKE, Reason(ReasonCode.TORN, text)),
+            Measured(
+                "skin",
+                "step of a row",
+                float(over[at]),
+                -math.inf,
+                SPIKE,
+                Reason(ReasonCode.TORN, text),
+            ),
         )
 
     def _spikes(self, grey: U8) -> F32:
@@ -126,7 +161,9 @@ class PlainSkinJudge:
 
 def _over_neighbours(step: U8, mask: U8) -> F32:
     """Mean step of each row less that of the two rows before and after, in medians of all rows."""
-    total, width = (cv2.reduce(each, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0] for each in (step, mask))
+    total, width = (
+        cv2.reduce(each, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32F)[:, 0] for each in (step, mask)
+    )
     mean = total / np.maximum(width / 255, 1)
     around = (mean[:-4] + mean[1:-3] + mean[3:-1] + mean[4:]) / 4
     return np.asarray((mean[2:-2] - around) / (median(mean) + 1), np.float32)

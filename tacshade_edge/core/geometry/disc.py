@@ -155,8 +155,14 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
     """Cells whose rays pass nearest to points (N, 3) of the skin; points outside the grid are ignored."""
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a point next to the lens is ignored too
-        px_per_mm = np.full_like(z, 1.0 / geometry.mm_per_px) if d_mm is None else geometry.f_px / (z + d_mm)
+    with np.errstate(
+        divide="ignore", over="ignore", invalid="ignore"
+    ):  # a point next to the lens is ignored too
+        px_per_mm = (
+            np.full_like(z, 1.0 / geometry.mm_per_px)
+            if d_mm is None
+            else geometry.f_px / (z + d_mm)
+        )
         i = np.rint((geometry.disc.row_c + y * px_per_mm - grid.row0) / grid.step_px)
         j = np.rint((geometry.disc.col_c + x * px_per_mm - grid.col0) / grid.step_px)
     inside = (i >= 0) & (i < grid.rows) & (j >= 0) & (j < grid.cols)
@@ -182,7 +188,11 @@ def _steps(planes: F32, axis: int) -> F32:
     lines, out = planes.swapaxes(0, axis), steps[:3].swapaxes(0, axis)
     if len(lines) > 1:
         # One pass through memory, also across the ends, which the one-sided differences then overwrite.
-        flat, along, by = planes.reshape(-1), steps[:3].reshape(-1), (planes.shape[2] if axis == 1 else 1)
+        flat, along, by = (
+            planes.reshape(-1),
+            steps[:3].reshape(-1),
+            (planes.shape[2] if axis == 1 else 1),
+        )
         np.subtract(flat[2 * by :], flat[: -2 * by], out=along[by:-by])
         along *= np.float32(0.5)
         np.subtract(lines[1], lines[0], out=out[0])

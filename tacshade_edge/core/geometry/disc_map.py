@@ -18,7 +18,9 @@ def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
     """The cells of the map as a grid of image positions (their middles, which need not be whole pixels)."""
     step = 2 * REACH * disc.radius_px / cells
     first = (0.5 - cells / 2) * step
-    return Grid(rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step)
+    return Grid(
+        rows=cells, cols=cells, row0=disc.row_c + first, col0=disc.col_c + first, step_px=step
+    )
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:

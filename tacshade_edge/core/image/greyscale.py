@@ -91,7 +91,9 @@ def normalise(values: F32, inside: Bool) -> F32:
     if not high > low:
         return np.zeros_like(values)
     result = np.zeros(values.shape, np.float32)
-    np.divide(values - low, high - low, out=result, where=inside)  # a quotient outside may overflow float32
+    np.divide(
+        values - low, high - low, out=result, where=inside
+    )  # a quotient outside may overflow float32
     return result
 
 

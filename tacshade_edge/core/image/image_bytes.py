@@ -22,7 +22,15 @@ SIDE_MAX_PX: Final = 8192
 # Markers near the end of a complete file; some cameras pad the end.
 _ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 _TAIL_BYTES: Final = 1024
-_DEEP: Final = (b"\x89PNG", b"II*\0", b"MM\0*", b"P2", b"P3", b"P5", b"P6")  # may have 16 bits per pixel
+_DEEP: Final = (
+    b"\x89PNG",
+    b"II*\0",
+    b"MM\0*",
+    b"P2",
+    b"P3",
+    b"P5",
+    b"P6",
+)  # may have 16 bits per pixel
 _DARK_GREY, _HOT_PART = 16, 0.001  # a dark image's hot pixels do not count
 
 # OpenCV's own lines on stderr would add to our one.
@@ -36,13 +44,17 @@ def decode_image(data: bytes, flags: int) -> U8:
     """
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
-            raise DecodeError(f"found an image cut short after {len(data)} bytes, expected a whole image")
+            raise DecodeError(
+                f"found an image cut short after {len(data)} bytes, expected a whole image"
+            )
     size_px = _size_px(data)
     if size_px is None or 0 in size_px:
         raise DecodeError(f"found {len(data)} bytes that are not an image, expected a whole image")
     width, height = size_px
     if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
-        expected = f"expected at most {SIDE_MAX_PX} px per side and {PIXELS_MAX >> 20} Mi px in total"
+        expected = (
+            f"expected at most {SIDE_MAX_PX} px per side and {PIXELS_MAX >> 20} Mi px in total"
+        )
         raise DecodeError(f"found {width}x{height} px, {expected}")
     if data.startswith((b"P2", b"P3")):
         data += b"\n"  # OpenCV reads no number that ends the file
@@ -51,7 +63,9 @@ def decode_image(data: bytes, flags: int) -> U8:
     except cv2.error:
         image = None
     if image is None or image.shape[:2] != (height, width):
-        raise DecodeError(f"found {len(data)} bytes that are damaged or not an image, expected a whole image")
+        raise DecodeError(
+            f"found {len(data)} bytes that are damaged or not an image, expected a whole image"
+        )
     if data.startswith(_DEEP) and np.count_nonzero(image >= _DARK_GREY) <= image.size * _HOT_PART:
         _check_depth(cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH))
     return np.asarray(image, np.uint8)
@@ -59,7 +73,11 @@ def decode_image(data: bytes, flags: int) -> U8:
 
 def _check_depth(image: NDArray[Any] | None) -> None:
     """Refuse 16-bit pixels that hold values of 9 to 12 bits: their upper 8 bits would be nearly black."""
-    most = 0 if image is None or image.dtype != np.uint16 else int(np.quantile(image, 1 - _HOT_PART, method="lower"))
+    most = (
+        0
+        if image is None or image.dtype != np.uint16
+        else int(np.quantile(image, 1 - _HOT_PART, method="lower"))
+    )
     if 0 < most < 1 << 12:
         bits = 10 if most < 1 << 10 else 12
         raise DecodeError(
@@ -97,7 +115,9 @@ def _png(data: bytes) -> tuple[int, int] | None:
 
 def _check_bits(bits: int) -> None:
     if bits < 8:
-        raise DecodeError(f"found {bits} bits per pixel, too few grey levels for a skin, expected 8 or 16")
+        raise DecodeError(
+            f"found {bits} bits per pixel, too few grey levels for a skin, expected 8 or 16"
+        )
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
@@ -133,13 +153,30 @@ _PNM_HEADER_BYTES = 1024
 def _pnm(data: bytes) -> tuple[int, int] | None:
     found = _PNM_SIZE.match(data[:_PNM_HEADER_BYTES])
     if found and int(found[3]) not in (255, 65535):  # OpenCV ignores it
-        raise DecodeError(f"found {int(found[3])} as the greatest value of a pixel, expected 255 or 65535")
+        raise DecodeError(
+            f"found {int(found[3])} as the greatest value of a pixel, expected 255 or 65535"
+        )
     return (int(found[1]), int(found[2])) if found else None
 
 
-_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_ORIENTATION, _TIFF_FORMAT = 254, 256, 257, 258, 274, 339
+_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_ORIENTATION, _TIFF_FORMAT = (
+    254,
+    256,
+    257,
+    258,
+    274,
+    339,
+)
 _TIFF_TILES = 322, 323
-_TIFF_TAGS = (_TIFF_KIND, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_ORIENTATION, _TIFF_FORMAT, *_TIFF_TILES)
+_TIFF_TAGS = (
+    _TIFF_KIND,
+    _TIFF_WIDTH,
+    _TIFF_HEIGHT,
+    _TIFF_BITS,
+    _TIFF_ORIENTATION,
+    _TIFF_FORMAT,
+    *_TIFF_TILES,
+)
 _TIFF_SHORT, _TIFF_THUMBNAIL, _TIFF_NOT_WHOLE = 3, 1, (2, 3)  # signed, floating-point
 
 
@@ -148,10 +185,15 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
     order = "<" if data.startswith(b"II") else ">"
     found, following = _tiff_directory(data, order, struct.unpack_from(f"{order}I", data, 4)[0])
     if found.get(_TIFF_FORMAT) in _TIFF_NOT_WHOLE:
-        raise DecodeError("found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits")
+        raise DecodeError(
+            "found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits"
+        )
     if (orientation := found.get(_TIFF_ORIENTATION, 1)) != 1:  # OpenCV would turn it, unlike a JPEG
         raise DecodeError(f"found a TIFF with orientation {orientation}, expected 1 or none")
-    if following and not _tiff_directory(data, order, following)[0].get(_TIFF_KIND, 0) & _TIFF_THUMBNAIL:
+    if (
+        following
+        and not _tiff_directory(data, order, following)[0].get(_TIFF_KIND, 0) & _TIFF_THUMBNAIL
+    ):
         raise DecodeError(_SEVERAL)
     _check_bits(found.get(_TIFF_BITS, 1))
     if any(found.get(tag, 0) > SIDE_MAX_PX for tag in _TIFF_TILES):
@@ -166,7 +208,9 @@ def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], i
     for entry in range(at + 2, at + 2 + 12 * entries, 12):
         tag, kind, count = struct.unpack_from(f"{order}2HI", data, entry)
         form, size = (f"{order}H", 2) if kind == _TIFF_SHORT else (f"{order}I", 4)
-        value_at = entry + 8 if size * count <= 4 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
+        value_at = (
+            entry + 8 if size * count <= 4 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
+        )
         if tag in _TIFF_TAGS:
             found[tag] = max(struct.unpack_from(form, data, value_at)[0], found.get(tag, 0))
     return found, struct.unpack_from(f"{order}I", data, at + 2 + 12 * entries)[0]

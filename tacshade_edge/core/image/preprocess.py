@@ -65,7 +65,9 @@ class Preprocessor:
         self.profile = profile
         self._halve = is_halved(calibration, profile)
         self.camera_px = 2 if self._halve else 1
-        self.calibration = calibration = halved_calibration(calibration) if self._halve else calibration
+        self.calibration = calibration = (
+            halved_calibration(calibration) if self._halve else calibration
+        )
         geometry, pitch_px = calibration.geometry, calibration.pitch_px
         height, width = calibration.image_height_px, calibration.image_width_px
         self.sign = 1.0 if calibration.polarity == "bright" else -1.0
@@ -80,7 +82,9 @@ class Preprocessor:
         self._box_sums = BoxSums(self.integrator, self.grid, side_px)
         total = self._box_sums.sums(self.integrator.integrate(self._mask))
         self._per_total: F32 = np.divide(np.float32(255), np.maximum(total, np.float32(1)))
-        self.voting: Bool = self.rays.inside & (total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum())))
+        self.voting: Bool = self.rays.inside & (
+            total >= VOTING_WINDOW_PART * min(side_px**2, int(self._mask.sum()))
+        )
         self._voters = np.flatnonzero(self.voting)
         reference = self.window.cut(calibration.reference_white)
         self.reference_white = self.integrator.integrate(reference)
@@ -94,7 +98,9 @@ class Preprocessor:
         grid = self.grid
         if not self._halve:
             return grid
-        return Grid(grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px)
+        return Grid(
+            grid.rows, grid.cols, 2 * grid.row0 + 0.5, 2 * grid.col0 + 0.5, 2 * grid.step_px
+        )
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
         """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image; it may use `space`, uint8 (H,
@@ -117,7 +123,9 @@ class Preprocessor:
         else:
             # A network would take black under glare for pins; the reference's pixels are neutral.
             white = np.where(glare > 0, self._reference_binary, white)
-            unseen = cv2.countNonZero(cv2.bitwise_and(self._mask, glare)) / max(cv2.countNonZero(self._mask), 1)
+            unseen = cv2.countNonZero(cv2.bitwise_and(self._mask, glare)) / max(
+                cv2.countNonZero(self._mask), 1
+            )
         return Preprocessed(white, self.integrator.integrate(white, space), unseen)
 
     def ratio(self, white: Total) -> F32:
@@ -174,7 +182,11 @@ def is_halved(calibration: Calibration, profile: Profile) -> bool:
 
 def halved_image(grey: U8) -> U8:
     """Means over 2x2 px, rounded half up, without the last row or column of an odd side; one of 1 px stays whole."""
-    return grey if min(grey.shape) < 2 else halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
+    return (
+        grey
+        if min(grey.shape) < 2
+        else halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
+    )
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:
@@ -195,7 +207,9 @@ def halved_calibration(calibration: Calibration) -> Calibration:
     white = np.zeros(grey.shape, np.float32)
     around = np.pad(calibration.reference_grey, 1, mode="edge")
     for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
-        moved = around[row : row + calibration.image_height_px, col : col + calibration.image_width_px]
+        moved = around[
+            row : row + calibration.image_height_px, col : col + calibration.image_width_px
+        ]
         window.cut(white)[...] += down * across * binariser(window.cut(halved_image(moved)))
     return replace(
         calibration,
@@ -228,7 +242,9 @@ class GlareFinder:
         nearby = cv2.dilate(cv2.multiply(reference_grey, mask), reach)
         # Beyond the disc, glare does not matter.
         self._brightest: U8 = np.where(
-            mask > 0, cv2.convertScaleAbs(nearby, alpha=GLARE_GAIN, beta=GLARE_OFFSET), np.uint8(255)
+            mask > 0,
+            cv2.convertScaleAbs(nearby, alpha=GLARE_GAIN, beta=GLARE_OFFSET),
+            np.uint8(255),
         )
         # Work space: whole blocks, white beyond the window; the window.
         self._whole = padded(np.full_like(mask, 255), self._side, 255)
@@ -238,7 +254,9 @@ class GlareFinder:
         """1 in glare and its halo, in whole blocks, of the window's grey image, uint8 (H, W); None without glare."""
         side, (rows, cols) = self._side, grey.shape
         self._whole[:rows, :cols] = grey
-        found = cv2.compare(cv2.erode(_least(self._whole, side), self._box), self._darkest, cv2.CMP_GT)
+        found = cv2.compare(
+            cv2.erode(_least(self._whole, side), self._box), self._darkest, cv2.CMP_GT
+        )
         bright = cv2.compare(grey, self._brightest, cv2.CMP_GT, dst=self._bright)
         some = cv2.countNonZero(bright) >= GLARE_PX
         if not some and cv2.countNonZero(found) == 0:
@@ -264,7 +282,9 @@ def _least(image: U8, block_px: int) -> U8:
     step = 1
     while step < block_px:
         least = np.asarray(cv2.min(least[::2], least[1::2]), np.uint8)
-        least = np.asarray(cv2.min(least[:, :-step], least[:, step:]), np.uint8)  # over 2 step columns from each one
+        least = np.asarray(
+            cv2.min(least[:, :-step], least[:, step:]), np.uint8
+        )  # over 2 step columns from each one
         step *= 2
     return np.ascontiguousarray(least[:, ::block_px])
 

@@ -50,7 +50,9 @@ class Binariser:
         # A block partly outside the disc would round to another mean.
         self._whole: U8 = np.where(_quarter(self._opaque) == 255, np.uint8(255), np.uint8(0))
         count = self._sums(self._whole) / np.float32(255)
-        self._per_box: F32 = np.divide(np.float32(1), count, out=np.zeros_like(count), where=count > 0)
+        self._per_box: F32 = np.divide(
+            np.float32(1), count, out=np.zeros_like(count), where=count > 0
+        )
         self._blocks = cv2.countNonZero(self._whole)
 
     def __call__(self, grey: U8) -> U8:
@@ -65,7 +67,9 @@ class Binariser:
             least = ADAPTIVE_FLOOR * cv2.sumElems(parts)[0] / max(self._blocks, 1)
             # For a whole number grey, grey > t is grey > floor(t); no t comes near 256.
             whole = np.maximum(local, np.float32(least)).astype(np.uint8)
-            cv2.resize(whole, self._masked.shape[::-1], dst=self._threshold, interpolation=cv2.INTER_LINEAR)
+            cv2.resize(
+                whole, self._masked.shape[::-1], dst=self._threshold, interpolation=cv2.INTER_LINEAR
+            )
             cv2.compare(self._masked, self._threshold, cv2.CMP_GT, dst=self._white)
         else:
             cv2.threshold(self._masked, self._split(), 255, cv2.THRESH_BINARY, dst=self._white)
@@ -74,7 +78,10 @@ class Binariser:
 
     def _sums(self, parts: U8) -> F32:
         return np.asarray(
-            cv2.boxFilter(parts, cv2.CV_32F, self._box, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32
+            cv2.boxFilter(
+                parts, cv2.CV_32F, self._box, normalize=False, borderType=cv2.BORDER_CONSTANT
+            ),
+            np.float32,
         )
 
     def _split(self) -> float:
@@ -96,19 +103,27 @@ def padded(image: U8, multiple: int, value: int) -> U8:
     rows, cols = (-size % multiple for size in image.shape)
     if rows == cols == 0:
         return image
-    return np.asarray(cv2.copyMakeBorder(image, 0, rows, 0, cols, cv2.BORDER_CONSTANT, value=value), np.uint8)
+    return np.asarray(
+        cv2.copyMakeBorder(image, 0, rows, 0, cols, cv2.BORDER_CONSTANT, value=value), np.uint8
+    )
 
 
 def halved(image: A) -> A:
     """Means over 2x2 px, rounded half up for uint8; the sides must be even. OpenCV has a fast path for this."""
-    half: A = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    half: A = cv2.resize(
+        image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA
+    )
     return half
 
 
 def eighth(image: U8) -> U8:
     """Means over whole squares of 8x8 px, each halving rounded."""
     rows, cols = (size // 8 for size in image.shape)
-    return halved(_quarter(image[: 8 * rows, : 8 * cols])) if rows and cols else np.zeros((rows, cols), np.uint8)
+    return (
+        halved(_quarter(image[: 8 * rows, : 8 * cols]))
+        if rows and cols
+        else np.zeros((rows, cols), np.uint8)
+    )
 
 
 def squares(image: U8, side_px: int) -> tuple[F32, F32]:
@@ -117,7 +132,9 @@ def squares(image: U8, side_px: int) -> tuple[F32, F32]:
     if not rows or not cols:
         return (np.zeros((rows, cols), np.float32),) * 2
     values = image[: side_px * rows, : side_px * cols].astype(np.float32)
-    mean, square = (cv2.resize(v, (cols, rows), interpolation=cv2.INTER_AREA) for v in (values, values * values))
+    mean, square = (
+        cv2.resize(v, (cols, rows), interpolation=cv2.INTER_AREA) for v in (values, values * values)
+    )
     return np.asarray(mean, np.float32), np.sqrt(np.maximum(square - mean * mean, np.float32(0)))
 
 
@@ -151,7 +168,9 @@ class Integrator:
     def __init__(self, window: Window, margin_px: int) -> None:
         self.window = window
         self.margin_px = margin_px
-        self._values = np.zeros((window.rows + 2 * margin_px, window.cols + 2 * margin_px), np.uint8)
+        self._values = np.zeros(
+            (window.rows + 2 * margin_px, window.cols + 2 * margin_px), np.uint8
+        )
 
     def space(self) -> I32:
         """Allocate the buffer for one integral image."""
@@ -186,7 +205,10 @@ class BoxSums:
             self._bands = np.empty((self._rows, total.shape[1]), total.dtype)
         below, above = total[self._below :: step], total[self._above :: step]
         bands = np.subtract(below[: self._rows], above[: self._rows], out=self._bands)
-        sums = bands[:, self._right :: step][:, : self._cols] - bands[:, self._left :: step][:, : self._cols]
+        sums = (
+            bands[:, self._right :: step][:, : self._cols]
+            - bands[:, self._left :: step][:, : self._cols]
+        )
         return sums.astype(np.float32)
 
 

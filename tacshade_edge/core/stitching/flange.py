@@ -25,7 +25,11 @@ from tacshade_edge.types import F64, I64, Pose, frozen
 ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
 """Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin,
 and the delay of the frames' time stamps after the robot's poses."""
-SEEN_MM, SEEN_DEG, SEEN_MS = 2.0, 2.5, 10.0  # standard deviation above which a direction was not seen
+SEEN_MM, SEEN_DEG, SEEN_MS = (
+    2.0,
+    2.5,
+    10.0,
+)  # standard deviation above which a direction was not seen
 
 # Size of the cells (0: one quadratic function for all), and the deviation of heights at one place.
 _COARSE_MM = ((0.0, 1.0), (6.0, 0.6), (3.0, 0.4), (1.5, 0.25))
@@ -46,7 +50,9 @@ _LATERAL_RATIO = 2.0
 _CAUCHY_SIGMAS = 1.5
 _QUADRATIC_MM = 10.0
 _FACING_MIN = 0.5
-_RIDGE = 1e-9  # relative to the weights: a few points in one place do not define a quadratic function
+_RIDGE = (
+    1e-9  # relative to the weights: a few points in one place do not define a quadratic function
+)
 _DIFFERENCE = 1e-5  # of numeric derivatives, in mm, rad and ms
 
 
@@ -102,30 +108,56 @@ class _Problem:
         self._frames, self._start = frames, start
         self._presses = 1 + max(frame.press for frame in frames)
         self._apex = np.array((0.0, 0.0, skin_radius_mm))
-        self._frame_of: I64 = np.repeat(np.arange(len(frames)), [len(frame.points) for frame in frames])
+        self._frame_of: I64 = np.repeat(
+            np.arange(len(frames)), [len(frame.points) for frame in frames]
+        )
         self._press_of_frame: I64 = np.array([frame.press for frame in frames])
         points = np.concatenate([frame.points for frame in frames])
         self._points, self._weight = points[:, :3], points[:, 3]
         outwards = self._points / np.linalg.norm(self._points, axis=1, keepdims=True)
-        middles = np.stack([np.average(frame.points[:, :2], axis=0, weights=frame.points[:, 3]) for frame in frames])
-        middle, beside = middles[self._frame_of] / 10, (self._points[:, :2] - middles[self._frame_of]) / 10
+        middles = np.stack(
+            [
+                np.average(frame.points[:, :2], axis=0, weights=frame.points[:, 3])
+                for frame in frames
+            ]
+        )
+        middle, beside = (
+            middles[self._frame_of] / 10,
+            (self._points[:, :2] - middles[self._frame_of]) / 10,
+        )
         self._bulge = np.column_stack((np.ones(len(points)), np.sum(beside**2, axis=1)))
         along_rays = np.column_stack((middle, np.sum(middle**2, axis=1), beside))
         # Shift (N, 3) of each point by 1 of each of the sensor's own errors and of the considered ones.
-        self._shapes = [outwards * each[:, None] for each in along_rays.T] + [self._points * (1, 1, 0)]
+        self._shapes = [outwards * each[:, None] for each in along_rays.T] + [
+            self._points * (1, 1, 0)
+        ]
         self.sigmas = np.concatenate(
-            (_START, _OWN_MM, np.tile(_PRESS, self._presses), np.tile(_FRAME_MM, len(frames)), _CONSIDERED)
+            (
+                _START,
+                _OWN_MM,
+                np.tile(_PRESS, self._presses),
+                np.tile(_FRAME_MM, len(frames)),
+                _CONSIDERED,
+            )
         )
-        axes = np.stack([of_pose(frame.track[0]).rotation @ start.rotation[:, 2] for frame in frames])
+        axes = np.stack(
+            [of_pose(frame.track[0]).rotation @ start.rotation[:, 2] for frame in frames]
+        )
         if np.linalg.norm(axes.mean(axis=0)) < _FACING_MIN:
-            raise ConfigError("found presses that face in opposite directions, expected presses on one surface")
+            raise ConfigError(
+                "found presses that face in opposite directions, expected presses on one surface"
+            )
         self._upright = _upright(-axes.mean(axis=0))
 
     def sensor(self, x: F64) -> Rigid:
         """``flange_T_sensor``."""
-        return Rigid(turn(x[3:6]).rotation @ self._start.rotation, self._start.translation_mm + x[:3])
+        return Rigid(
+            turn(x[3:6]).rotation @ self._start.rotation, self._start.translation_mm + x[:3]
+        )
 
-    def step(self, x: F64, cell_mm: float, sigma_mm: float, *, joint: bool) -> tuple[F64, F64, float]:
+    def step(
+        self, x: F64, cell_mm: float, sigma_mm: float, *, joint: bool
+    ) -> tuple[F64, F64, float]:
         """A Gauss-Newton step of x, limited to `_STEP_MAX`, covariance (7, 7) and RMS of the differences in mm, for
         heights of deviation `sigma_mm` at one place; `joint` gives presses and frames their own errors.
         """
@@ -156,7 +188,9 @@ class _Problem:
         columns = sparse.csr_array(sparse.hstack(parts))
         weighted = columns.T @ sparse.diags_array(weight)
         surface = basis.shape[1]
-        prior = np.concatenate((np.full(surface, _RIDGE * weight.sum()), self.sigmas[:free] ** -2.0))
+        prior = np.concatenate(
+            (np.full(surface, _RIDGE * weight.sum()), self.sigmas[:free] ** -2.0)
+        )
         right = -(weighted @ left_mm) - prior * np.concatenate((np.zeros(surface), x[:free]))
         of_sensor = np.eye(len(prior), _SENSOR, -surface)
         solved = splu(sparse.csc_array(weighted @ columns + sparse.diags_array(prior))).solve(
@@ -165,7 +199,9 @@ class _Problem:
         step = np.zeros(len(x))
         step[:free] = solved[surface:, 0]
         step /= max(1.0, float(np.max(np.abs(step[:_SENSOR]) / _STEP_MAX)))
-        considered = np.column_stack([change(len(x) - k) * _CONSIDERED[-k] for k in range(len(_CONSIDERED), 0, -1)])
+        considered = np.column_stack(
+            [change(len(x) - k) * _CONSIDERED[-k] for k in range(len(_CONSIDERED), 0, -1)]
+        )
         looks_like = solved[:, 1:].T @ (weighted @ considered)
         covariance = solved[surface : surface + _SENSOR, 1:] + looks_like @ looks_like.T
         return step, covariance, float(np.sqrt(np.average(left_mm**2, weights=weight)))
@@ -182,10 +218,15 @@ class _Problem:
         presses = x[_COMMON : _COMMON + 6 * self._presses].reshape(-1, 6)
         frames_mm = x[_COMMON + presses.size : len(x) - len(_CONSIDERED)].reshape(-1, 2)
         own = np.concatenate((x[_SENSOR:_COMMON], x[len(x) - len(_CONSIDERED) :]))
-        points = self._points + sum(error * shape for error, shape in zip(own, self._shapes, strict=True) if error)
+        points = self._points + sum(
+            error * shape for error, shape in zip(own, self._shapes, strict=True) if error
+        )
         turns = np.stack([turn(press[3:]).rotation for press in presses])[self._press_of_frame]
         apex = rotation @ sensor.apply(self._apex) + origin_mm + presses[self._press_of_frame, :3]
-        at = np.einsum("nij,nj->ni", (turns @ rotation @ sensor.rotation)[of], points - self._apex) + apex[of]
+        at = (
+            np.einsum("nij,nj->ni", (turns @ rotation @ sensor.rotation)[of], points - self._apex)
+            + apex[of]
+        )
         at[:, 2] += np.sum(self._bulge * frames_mm[of], axis=1)
         return np.asarray(at)
 
@@ -201,7 +242,10 @@ def _surface(at: F64, weight: F64, cell_mm: float) -> tuple[Any, F64, F64]:
     x, y = ((at[:, :2] - at[:, :2].mean(axis=0)) / _QUADRATIC_MM).T
     one, zero = np.ones_like(x), np.zeros_like(x)
     basis = sparse.csr_array(np.stack((one, x, y, x * x, x * y, y * y), axis=1))
-    by_x, by_y = np.stack((zero, one, zero, 2 * x, y, zero)), np.stack((zero, zero, one, zero, x, 2 * y))
+    by_x, by_y = (
+        np.stack((zero, one, zero, 2 * x, y, zero)),
+        np.stack((zero, zero, one, zero, x, 2 * y)),
+    )
     fitted = _fitted(basis, weight, at[:, 2])
     slope = np.column_stack((fitted @ by_x, fitted @ by_y)) / _QUADRATIC_MM
     return basis, slope, at[:, 2]
@@ -223,7 +267,9 @@ def _blocks(columns: F64, of: I64, count: int) -> Any:
 
     points, width = columns.shape
     at = (of[:, None] * width + np.arange(width)).ravel()
-    return sparse.csr_array((columns.ravel(), at, np.arange(points + 1) * width), shape=(points, count * width))
+    return sparse.csr_array(
+        (columns.ravel(), at, np.arange(points + 1) * width), shape=(points, count * width)
+    )
 
 
 def _upright(up: F64) -> F64:
@@ -248,10 +294,21 @@ def unseen(found: FoundFlange) -> str:
     sigma = np.sqrt(np.diag(found.covariance))
     names = [
         f"{motion} {', '.join(axes)}"
-        for motion, first, most in (("translation along", 0, SEEN_MM), ("rotation about", 3, SEEN_DEG))
-        if (axes := [axis for axis, one in zip("xyz", sigma[first : first + 3], strict=True) if one > most])
+        for motion, first, most in (
+            ("translation along", 0, SEEN_MM),
+            ("rotation about", 3, SEEN_DEG),
+        )
+        if (
+            axes := [
+                axis
+                for axis, one in zip("xyz", sigma[first : first + 3], strict=True)
+                if one > most
+            ]
+        )
     ]
-    expected = "overlapping presses on a wavy surface, with yaws of ±90° and tilts of ±15° about two axes"
+    expected = (
+        "overlapping presses on a wavy surface, with yaws of ±90° and tilts of ±15° about two axes"
+    )
     return f"{'; '.join(names)} cannot be determined, expected {expected}" if names else ""
 
 

@@ -19,7 +19,9 @@ REST_NS = 300_000_000
 STEADY_MM = 0.06
 _STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
 OUTLINE_MM = 0.8  # confidence grows to 1 over this distance into the contact: skin beyond it is skirt, off the object
-RIM_FRACTION = 0.2  # outer part of the disc's radius: the camera looks along the skin, and confidence falls
+RIM_FRACTION = (
+    0.2  # outer part of the disc's radius: the camera looks along the skin, and confidence falls
+)
 MIN_CONFIDENCE = 0.05
 SPACING_MM = 0.3  # of cells, which are divided or subsampled, so that a map of 0.25 mm has no holes between them
 _LATERAL_RATIO = 5.0  # of a point's lateral error, which times the slope is an error in height, to its height error
@@ -64,7 +66,9 @@ class PressPoints:
     confidence: F32
 
 
-NO_POINTS = PressPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+NO_POINTS = PressPoints(
+    np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+)
 
 
 def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
@@ -91,10 +95,14 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     points = skin_points(h, disc_rays(grid, geometry), geometry)
     across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     normals = np.asarray(across / np.linalg.norm(across, axis=2, keepdims=True), np.float32)
-    inside_mm = cv2.distanceTransform(contact.view(np.uint8), cv2.DIST_L2, 5) * (step_px * geometry.mm_per_px)
+    inside_mm = cv2.distanceTransform(contact.view(np.uint8), cv2.DIST_L2, 5) * (
+        step_px * geometry.mm_per_px
+    )
     to_rim = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / RIM_FRACTION
     confidence = np.clip(np.minimum(inside_mm / OUTLINE_MM, to_rim), MIN_CONFIDENCE, 1)
-    contact = contact & np.isfinite(normals).all(axis=2)  # drops points with a neighbour outside the disc
+    contact = contact & np.isfinite(normals).all(
+        axis=2
+    )  # drops points with a neighbour outside the disc
     return PressPoints(points[contact], normals[contact], confidence[contact].astype(np.float32))
 
 
@@ -102,7 +110,9 @@ def height_weight(press: PressPoints, base_T_sensor: Rigid) -> F64:
     """Weight of each point's z in the base frame: its confidence, reduced by the slope."""
     cosine = np.abs(press.normals @ base_T_sensor.rotation[2])
     slope2 = (1 - cosine**2) / np.maximum(cosine, 1e-3) ** 2
-    return np.asarray(press.confidence / (1 + _LATERAL_RATIO**2 * np.maximum(slope2, 0)), np.float64)
+    return np.asarray(
+        press.confidence / (1 + _LATERAL_RATIO**2 * np.maximum(slope2, 0)), np.float64
+    )
 
 
 GAP_MAX_NS = 250_000_000  # poses farther apart do not show the motion in between
@@ -135,11 +145,16 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
     elif angle < 1e-4:  # the sines equal their angles within 1e-9
         weights = 1 - fraction, fraction
     else:
-        weights = math.sin((1 - fraction) * angle) / math.sin(angle), math.sin(fraction * angle) / math.sin(angle)
+        weights = (
+            math.sin((1 - fraction) * angle) / math.sin(angle),
+            math.sin(fraction * angle) / math.sin(angle),
+        )
     rotated = [weights[0] * u + weights[1] * v for u, v in zip(q, r, strict=True)]
     norm = math.hypot(*rotated)
     qw, qx, qy, qz = (value / norm for value in rotated)
-    x, y, z = (u + fraction * (v - u) for u, v in ((a.x_mm, b.x_mm), (a.y_mm, b.y_mm), (a.z_mm, b.z_mm)))
+    x, y, z = (
+        u + fraction * (v - u) for u, v in ((a.x_mm, b.x_mm), (a.y_mm, b.y_mm), (a.z_mm, b.z_mm))
+    )
     return Pose(t_ns, x, y, z, qw, qx, qy, qz)
 
 
@@ -175,6 +190,8 @@ class PoseBuffer:
         extrapolated_ns = max(0, t_ns - poses[-1].t_ns)
         after = min(max(after, 1), len(poses) - 1)
         a, b = poses[after - 1], poses[after]
-        if extrapolated_ns > EXTRAPOLATION_MAX_NS or (b.t_ns - a.t_ns > GAP_MAX_NS and t_ns not in (a.t_ns, b.t_ns)):
+        if extrapolated_ns > EXTRAPOLATION_MAX_NS or (
+            b.t_ns - a.t_ns > GAP_MAX_NS and t_ns not in (a.t_ns, b.t_ns)
+        ):
             return None
         return InterpolatedPose(interpolate(a, b, t_ns), extrapolated_ns)

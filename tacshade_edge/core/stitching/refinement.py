@@ -52,7 +52,9 @@ def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
     column_row = np.floor(at[:, :2] / cell_mm).astype(np.int64)
     offset = at[:, :2] - (column_row + 0.5) * cell_mm
     column_row -= column_row.min(axis=0)
-    width = int(column_row[:, 0].max()) + 3  # a free column between rows, so that neighbours need no checks
+    width = (
+        int(column_row[:, 0].max()) + 3
+    )  # a free column between rows, so that neighbours need no checks
     key = (column_row[:, 1] + 1) * width + column_row[:, 0] + 1
     used, cell = np.unique(key, return_inverse=True)
     z = _means(at[:, 2], weight, cell)
@@ -100,26 +102,36 @@ def thin_points(press: PressPoints) -> F64:
     return thin[:: -(-len(thin) // POINTS_MAX) or 1]
 
 
-def refine_poses(presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError) -> list[Rigid]:
+def refine_poses(
+    presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError
+) -> list[Rigid]:
     """Find ``base_T_sensor`` at which the presses (`thin_points`) agree best; a press that overlaps no other keeps the
     reported one. Rotation errors turn about `centre_mm`, the undeformed apex.
     """
     if len(presses) < 2:
         return list(reported)
     press_of, points = _joined(presses)
-    prior: F64 = np.asarray(np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0, np.float64)
-    corrections = np.zeros((len(presses), 6))  # translation in mm, rotation vector in rad, from the reported pose
+    prior: F64 = np.asarray(
+        np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0, np.float64
+    )
+    corrections = np.zeros(
+        (len(presses), 6)
+    )  # translation in mm, rotation vector in rad, from the reported pose
     poses = list(reported)
     for _ in range(ITERATIONS_MAX):
         step = _step(points, press_of, poses, centre_mm, corrections, prior)
         corrections += step
-        poses = [_corrected(pose, c, centre_mm) for pose, c in zip(reported, corrections, strict=True)]
+        poses = [
+            _corrected(pose, c, centre_mm) for pose, c in zip(reported, corrections, strict=True)
+        ]
         if np.abs(step[:, :3]).max() < _CONVERGED_MM:
             break
     return poses
 
 
-def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64) -> float:
+def robots_part(
+    presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64
+) -> float:
     """Estimate the part (0 to below 1) of the refined poses' moves that corrects the robot's errors: the variance of
     the moves in height, less the typical share of the reconstruction's own errors, over the whole; 0 if those may
     explain all of it.
@@ -131,7 +143,9 @@ def robots_part(presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequ
     shared = np.bincount(cell)[cell] > 1
     if not shared.any():
         return 0.0
-    own_part = weight / np.bincount(cell, weight)[cell]  # of the cell's mean, which follows the point by this part
+    own_part = (
+        weight / np.bincount(cell, weight)[cell]
+    )  # of the cell's mean, which follows the point by this part
     squares = (height - _means(height, weight, cell)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
     moves = [change(reported[k], refined[k], centre_mm)[2] for k in np.unique(press_of[shared])]
@@ -162,10 +176,14 @@ def _corrected(pose: Rigid, correction: F64, centre_mm: F64) -> Rigid:
     """Turn a pose about its apex in the base's axes, and shift it."""
     apex = pose.apply(centre_mm)
     rotation = turn(correction[3:]).rotation
-    return Rigid(rotation @ pose.rotation, rotation @ (pose.translation_mm - apex) + apex + correction[:3])
+    return Rigid(
+        rotation @ pose.rotation, rotation @ (pose.translation_mm - apex) + apex + correction[:3]
+    )
 
 
-def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, corrections: F64, prior: F64) -> F64:
+def _step(
+    points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, corrections: F64, prior: F64
+) -> F64:
     """One Gauss-Newton step of all poses: (P, 6)."""
     at, lever = _placed(points, press_of, poses, centre_mm)
     cells = overlap_cells(at, points[:, 3], CELL_MM)
@@ -189,7 +207,9 @@ def _step(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64, co
 
     def normal_matrix(step: F64) -> F64:
         """The reduced normal equations' matrix times `step`."""
-        return to_presses(eliminated(np.einsum("nk,nk->n", jacobian, step[press_of]))) + prior * step
+        return (
+            to_presses(eliminated(np.einsum("nk,nk->n", jacobian, step[press_of]))) + prior * step
+        )
 
     blocks = np.empty((len(poses), 6, 6))
     for k in range(6):
@@ -206,7 +226,9 @@ def _joined(presses: Sequence[F64]) -> tuple[I64, F64]:
 
 def _placed(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64) -> tuple[F64, F64]:
     """Points in the base frame, and relative to the apex of their press."""
-    rotations, shifts = (np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm"))
+    rotations, shifts = (
+        np.stack([getattr(p, name) for p in poses]) for name in ("rotation", "translation_mm")
+    )
     at = np.einsum("nij,nj->ni", rotations[press_of], points[:, :3]) + shifts[press_of]
     return at, at - (np.stack([p.apply(centre_mm) for p in poses]))[press_of]
 

@@ -55,7 +55,9 @@ class Raster:
     def points(self) -> F64:
         """The touched cells as points (N, 3), mm."""
         i, j = np.nonzero(np.isfinite(self.z_mm))
-        return np.stack((self.x0_mm + j * self.step_mm, self.y0_mm + i * self.step_mm, self.z_mm[i, j]), axis=1)
+        return np.stack(
+            (self.x0_mm + j * self.step_mm, self.y0_mm + i * self.step_mm, self.z_mm[i, j]), axis=1
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,9 @@ class SurfaceMap:
     def add(self, points_mm: F64, weight: F32 | F64) -> None:
         """Fuse points (N, 3) in the base frame with their weights (N,)."""
         if not (np.abs(points_mm) < _POSITION_MAX_MM).all():
-            raise ValueError(f"a point is not finite, or over {_POSITION_MAX_MM / 1000:g} m from the base")
+            raise ValueError(
+                f"a point is not finite, or over {_POSITION_MAX_MM / 1000:g} m from the base"
+            )
         if len(points_mm) == 0:
             return
         corner = np.floor(points_mm[:, :2] / self.step_mm)
@@ -124,7 +128,9 @@ class SurfaceMap:
 
     def _require_bounds(self, tiles: set[_Tile]) -> None:
         if len(tiles) > TILES_MAX:
-            raise ValueError(f"the map would exceed {TILES_MAX} tiles of {TILE * self.step_mm:g} mm")
+            raise ValueError(
+                f"the map would exceed {TILES_MAX} tiles of {TILE * self.step_mm:g} mm"
+            )
         high, wide = (1 + max(places) - min(places) for places in zip(*tiles, strict=True))
         if high * wide > EXTENT_MAX_TILES:
             raise ValueError(
@@ -242,7 +248,9 @@ class Stitcher:
             raise ValueError(f"the map would exceed {POINTS_MAX} points")
         # Refinement turns a pose by a degree or so, which hardly changes the slopes.
         weight = height_weight(points, base_T_sensor)
-        press = _Press(points.points_mm, weight.astype(np.float32), thin_points(points), base_T_sensor)
+        press = _Press(
+            points.points_mm, weight.astype(np.float32), thin_points(points), base_T_sensor
+        )
         self.map.add(base_T_sensor.apply(press.points_mm), press.weight)
         self._presses.append(press)
         self.points += count
@@ -255,11 +263,16 @@ class Stitcher:
         if error is not None and self.presses > 1:
             thinned = [p.thinned for p in self._presses]
             refined = refine_poses(thinned, poses, self._apex, error)
-            dz_mm = [change(old, new, self._apex)[2] for old, new in zip(poses, refined, strict=True)]
+            dz_mm = [
+                change(old, new, self._apex)[2] for old, new in zip(poses, refined, strict=True)
+            ]
             disagreement_mm = float(np.sqrt(np.mean(np.square(dz_mm))))
             part = robots_part(thinned, poses, refined, self._apex)
             if part:
-                poses = [moved_by_part(old, new, part, self._apex) for old, new in zip(poses, refined, strict=True)]
+                poses = [
+                    moved_by_part(old, new, part, self._apex)
+                    for old, new in zip(poses, refined, strict=True)
+                ]
         fused = self._fused(poses, [None] * len(poses), None)
         placed = [
             self._placed(press, pose, fused, error if part else None)
@@ -268,10 +281,14 @@ class Stitcher:
         rejected = [p.rejected for p in placed]
         if any(rejected):
             fused = self._fused(poses, rejected, None)
-        raster = self._fused(poses, rejected, fused).raster(_MIN_WEIGHT_REFINED if part else MIN_WEIGHT)
+        raster = self._fused(poses, rejected, fused).raster(
+            _MIN_WEIGHT_REFINED if part else MIN_WEIGHT
+        )
         return StitchedMap(raster, tuple(placed), disagreement_mm, part > 0)
 
-    def _placed(self, press: _Press, pose: Rigid, fused: SurfaceMap, error: PoseError | None) -> PlacedPress:
+    def _placed(
+        self, press: _Press, pose: Rigid, fused: SurfaceMap, error: PoseError | None
+    ) -> PlacedPress:
         at = pose.apply(press.thinned[:, :3])
         deviation_mm = float(np.median(np.abs(at[:, 2] - fused.z_at(at))))
         correction_mm, correction_deg = correction(press.reported, pose, self._apex)
@@ -297,6 +314,8 @@ class Stitcher:
                 continue
             at, weight = pose.apply(press.points_mm), press.weight
             if before is not None:
-                weight = np.nan_to_num(weight / (1 + ((at[:, 2] - before.z_at(at)) / _CAUCHY_MM) ** 2))
+                weight = np.nan_to_num(
+                    weight / (1 + ((at[:, 2] - before.z_at(at)) / _CAUCHY_MM) ** 2)
+                )
             fused.add(at, weight)
         return fused

@@ -27,7 +27,9 @@ PRESS_COMPONENTS = 4  # components whose distance from the untouched skin's is t
 LEAST_PRESS = 0.25  # added to it in quadrature: the components' noise is no ratio
 LEVERAGE_COMPONENTS = 64  # components used for the leverage; more are noise of few frames
 Floats = TypeVar("Floats", F32, F64)
-MARGIN = 1.645  # A value this many standard deviations beyond the labelled range is an extrapolation
+MARGIN = (
+    1.645  # A value this many standard deviations beyond the labelled range is an extrapolation
+)
 
 PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
 """Names of the quantities that need no labels."""
@@ -52,7 +54,9 @@ def terms(values: F64, low: F32, high: F32) -> F64:
     half = np.where(high > low, (high - low) / 2, 1)
     parts = (values - (low + high) / 2) / half
     once = np.tri(parts.shape[1], dtype=bool).T  # row by row
-    made: F64 = np.concatenate((np.ones((len(parts), 1)), parts, (parts[:, :, None] * parts[:, None])[:, once]), axis=1)
+    made: F64 = np.concatenate(
+        (np.ones((len(parts), 1)), parts, (parts[:, :, None] * parts[:, None])[:, once]), axis=1
+    )
     return made
 
 
@@ -106,7 +110,9 @@ def leverage(at: Floats, spread: F32) -> Floats:
 
 def residual(standard: Floats, at: Floats, scale: float) -> Floats:
     """The part of each frame's squared standardised features that its coordinates leave out, (n,), 0 to 1."""
-    left = 1 - scale**2 * (at * at).sum(axis=1) / np.maximum((standard * standard).sum(axis=1), 1e-12)
+    left = 1 - scale**2 * (at * at).sum(axis=1) / np.maximum(
+        (standard * standard).sum(axis=1), 1e-12
+    )
     found: Floats = np.maximum(left, 0)
     return found
 
@@ -126,26 +132,46 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32 | None) -> Tou
     values, sigma, alike = predict(model, features)
     if not alike or (imprint is not None and not belongs(model, values, imprint)):
         unknown = dict.fromkeys(model.names)
-        whose = "imprint is unlike the labelled object's imprint" if alike else "frame is unlike any labelled frame"
+        whose = (
+            "imprint is unlike the labelled object's imprint"
+            if alike
+            else "frame is unlike any labelled frame"
+        )
         return Touch(unknown, unknown, Reason(ReasonCode.TOUCH_UNLIKE, f"the {whose}"))
     beyond = np.maximum(np.maximum(model.low - values, values - model.high), 0)
     outside, far = beyond > MARGIN * sigma, beyond > model.high - model.low
     names = [name for name, out in zip(model.names, outside, strict=True) if out]
-    reason = Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}") if names else None
+    reason = (
+        Reason(ReasonCode.TOUCH_RANGE, f"outside the labelled range: {', '.join(names)}")
+        if names
+        else None
+    )
     known, error = (
-        {name: None if gone else one for name, gone, one in zip(model.names, far, each.tolist(), strict=True)}
+        {
+            name: None if gone else one
+            for name, gone, one in zip(model.names, far, each.tolist(), strict=True)
+        }
         for each in (values, np.where(outside, np.hypot(sigma, beyond), sigma))
     )
     return Touch(known, error, reason)
 
 
-def touch_without_labels(objects: Sequence[TouchedObject], shear_mm: tuple[float, float] | None) -> Touch:
+def touch_without_labels(
+    objects: Sequence[TouchedObject], shear_mm: tuple[float, float] | None
+) -> Touch:
     """The touch without a model: greatest depth, tilt of the largest object's plane and its twist, and mean shear."""
     first = objects[0]
     x, y, z = first.normal
-    tilt_x_deg, tilt_y_deg = -math.degrees(math.asin(max(-1.0, min(1.0, y)))), math.degrees(math.atan2(x, z))
+    tilt_x_deg, tilt_y_deg = (
+        -math.degrees(math.asin(max(-1.0, min(1.0, y)))),
+        math.degrees(math.atan2(x, z)),
+    )
     shear = (None, None) if shear_mm is None else shear_mm
     depth_mm = max(one.depth_max_mm for one in objects)
-    values = dict(zip(PLAIN, (depth_mm, tilt_x_deg, tilt_y_deg, *shear, first.twist_deg), strict=True))
+    values = dict(
+        zip(PLAIN, (depth_mm, tilt_x_deg, tilt_y_deg, *shear, first.twist_deg), strict=True)
+    )
     sigma = dict(zip(PLAIN, PLAIN_SIGMA, strict=True))
-    return Touch(values, {name: None if values[name] is None else one for name, one in sigma.items()})
+    return Touch(
+        values, {name: None if values[name] is None else one for name, one in sigma.items()}
+    )

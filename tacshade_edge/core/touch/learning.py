@@ -16,18 +16,37 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.touch.answer import LINEAR, coordinates, kernel, leverage, residual, scaled, terms, unreached
+from tacshade_edge.core.touch.answer import (
+    LINEAR,
+    coordinates,
+    kernel,
+    leverage,
+    residual,
+    scaled,
+    terms,
+    unreached,
+)
 from tacshade_edge.types import F32, F64, I64, TouchModel
 
 COMPONENTS = 96
 DIRECTIONS = 32  # of the components, in which the quantities change
 LEAST_CHANGE = 1e-4  # added to a direction's mean squared gradient, relative to the greatest
 CENTRES = 1000
-FUNCTIONS = 128  # basis functions with an individual variance: a model takes at most 1.6 MB in a file
-WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)  # kernel widths to try, relative to the root mean square of a frame's coordinates
+FUNCTIONS = (
+    128  # basis functions with an individual variance: a model takes at most 1.6 MB in a file
+)
+WIDTHS = (
+    0.7,
+    1.0,
+    1.4,
+    2.0,
+    3.0,
+)  # kernel widths to try, relative to the root mean square of a frame's coordinates
 RIDGES = np.logspace(-3, 3, 25)
 LEAST_ROWS = 40
-LEAST_GROUPS = 5  # least number of groups with a quantity: the prediction of a held-out press needs others
+LEAST_GROUPS = (
+    5  # least number of groups with a quantity: the prediction of a held-out press needs others
+)
 FOLDED_ROWS = 1000  # in a larger table, held-out frames are not left out of the components
 FOLDS = 10
 FOLDS_OF_MANY = 3  # that are tried in a larger table
@@ -107,14 +126,23 @@ class _Solved:
     @property
     def noise(self) -> float:
         """Standard deviation of a label about the model for which the 90 % interval holds 90 % of held-out rows."""
-        return max(float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90, 1e-9)
+        return max(
+            float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90,
+            1e-9,
+        )
 
 
 _Fit = tuple[_Basis, list[_Solved]]
 
 
 def learn(
-    features: F32, imprints: F32, changed_parts: F64, names: Sequence[str], labels: F64, groups: I64, networks: str
+    features: F32,
+    imprints: F32,
+    changed_parts: F64,
+    names: Sequence[str],
+    labels: F64,
+    groups: I64,
+    networks: str,
 ) -> LearntTouch:
     """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, changed parts of the picture
     (n,), and labels (n, Q), NaN if a frame has none; each quantity has at least `LEAST_ROWS`, in at least
@@ -125,12 +153,16 @@ def learn(
     first = _fitted(whole, labels, groups)
     metric = _metric(first, whole, labels)
     basis, solved = second = _fitted(whole @ metric, labels, groups)
-    (leverage_max, residual_max), solved = _judged(features, changed_parts, labels, groups, space, first, second)
+    (leverage_max, residual_max), solved = _judged(
+        features, changed_parts, labels, groups, space, first, second
+    )
     reports = tuple(_report(name, labels[:, q], solved[q]) for q, name in enumerate(names))
     kept = [q for q, report in enumerate(reports) if report.seen]
     if not kept:
         return LearntTouch(None, reports)
-    low, high = (ends(labels[:, kept], axis=0).astype(np.float32) for ends in (np.nanmin, np.nanmax))
+    low, high = (
+        ends(labels[:, kept], axis=0).astype(np.float32) for ends in (np.nanmin, np.nanmax)
+    )
     chosen = [solved[q] for q in kept]
     # Predictions from the other groups for each labelled row, and from the model for the rest.
     values = np.stack([one.offset + basis.values @ one.weights for one in chosen], axis=1)
@@ -138,7 +170,9 @@ def learn(
         values[one.rows, k] = labels[one.rows, q] - one.residuals
     touching = np.isfinite(imprints[:, 0])
     imprinted = imprints[touching].astype(np.float64)
-    weights, precision, most = _imprint(imprinted, terms(values[touching], low, high), groups[touching])
+    weights, precision, most = _imprint(
+        imprinted, terms(values[touching], low, high), groups[touching]
+    )
     model = TouchModel(
         names=tuple(names[q] for q in kept),
         networks=networks,
@@ -154,13 +188,17 @@ def learn(
         width=basis.width,
         basis=basis.matrix[:, -FUNCTIONS:].astype(np.float32),
         weights=np.stack([basis.matrix @ one.weights for one in chosen], axis=1).astype(np.float32),
-        precision=np.stack([_precision(basis, len(one.rows), one.ridge) for one in chosen], axis=1).astype(np.float32),
+        precision=np.stack(
+            [_precision(basis, len(one.rows), one.ridge) for one in chosen], axis=1
+        ).astype(np.float32),
         ridge=np.array([one.ridge for one in chosen], np.float32),
         offset=np.array([one.offset for one in chosen], np.float32),
         noise=np.array([one.noise for one in chosen], np.float32),
         low=low,
         high=high,
-        leverage_max=max(leverage_max, 1.01 * float(leverage(space.at, space.spread).max())),  # the table's own belong
+        leverage_max=max(
+            leverage_max, 1.01 * float(leverage(space.at, space.spread).max())
+        ),  # the table's own belong
         residual_max=residual_max,
         imprint_weights=weights.astype(np.float32),
         imprint_precision=precision.astype(np.float32),
@@ -176,7 +214,11 @@ def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
         basis = _basis(at, width)
         solved = [_solve(basis, column, groups) for column in labels.T]
         # Logarithms, so that a quantity that no frame shows chooses nothing.
-        return float(np.mean([np.log(np.abs(one.residuals).mean() + 1e-300) for one in solved])), basis, solved
+        return (
+            float(np.mean([np.log(np.abs(one.residuals).mean() + 1e-300) for one in solved])),
+            basis,
+            solved,
+        )
 
     return min(map(tried, WIDTHS), key=lambda one: one[0])[1:]  # holds two fits at a time, not all
 
@@ -190,7 +232,9 @@ def _metric(fit: _Fit, at: F64, labels: F64) -> F64:
     for q, one in enumerate(solved):
         weights = basis.matrix @ one.weights
         pull = near * weights[size:]
-        slopes = (pull @ basis.centres - pull.sum(axis=1)[:, None] * at) / basis.width**2 + LINEAR * weights[:size]
+        slopes = (
+            pull @ basis.centres - pull.sum(axis=1)[:, None] * at
+        ) / basis.width**2 + LINEAR * weights[:size]
         changes += slopes.T @ slopes / _variance(labels[one.rows, q])
     power, turned = np.linalg.eigh(changes)
     scale = (np.maximum(power, 0) / max(power[-1], 1e-300) + LEAST_CHANGE) ** 0.25
@@ -239,7 +283,9 @@ def _basis(at: F64, width: float) -> _Basis:
     values = kernel(at, centres, width) @ matrix
     powers, turned = np.linalg.eigh(values.T @ values)
     values = values @ turned
-    return _Basis(width, centres, matrix @ turned, values, np.maximum(powers, 0), unreached(at, values))
+    return _Basis(
+        width, centres, matrix @ turned, values, np.maximum(powers, 0), unreached(at, values)
+    )
 
 
 def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) -> _Solved:
@@ -254,12 +300,16 @@ def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) 
     left, squares = labels[rows] - offset, values * values
     at = values.T @ left
     ridges = RIDGES if ridge is None else np.array([ridge])
-    residuals, variances = _held_out(values, squares, 1 / (power[:, None] + ridges), left, at, groups[rows])
+    residuals, variances = _held_out(
+        values, squares, 1 / (power[:, None] + ridges), left, at, groups[rows]
+    )
     best = int(np.argmin(np.abs(residuals).mean(axis=0)))
     ridge = float(ridges[best])
     weights = at / (power + ridge)
     variances = variances[:, best] + basis.unreached[rows] / ridge
-    return _Solved(rows, ridge, offset, turned @ weights if some else weights, residuals[:, best], variances)
+    return _Solved(
+        rows, ridge, offset, turned @ weights if some else weights, residuals[:, best], variances
+    )
 
 
 def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
@@ -267,7 +317,9 @@ def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
     return np.asarray(1 / (basis.power[-FUNCTIONS:] * (rows / len(basis.values)) + ridge))
 
 
-def _held_out(values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64) -> tuple[F64, F64]:
+def _held_out(
+    values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64
+) -> tuple[F64, F64]:
     """Residuals and variances (n, R) of the rows, each predicted from the other groups, by R inverses (K, R)."""
     residuals = left[:, None] - values @ (inverse * at[:, None])
     own = squares @ inverse + 1 / len(values)
@@ -295,7 +347,10 @@ def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
     power, turned = np.linalg.eigh(values.T @ values)
     values, inverse = values @ turned, 1 / (np.maximum(power, 0)[:, None] + IMPRINT_RIDGE)
     at = values.T @ standard
-    held = [_held_out(values, values**2, inverse, *each, groups)[0] for each in zip(standard.T, at.T, strict=True)]
+    held = [
+        _held_out(values, values**2, inverse, *each, groups)[0]
+        for each in zip(standard.T, at.T, strict=True)
+    ]
     off = np.concatenate(held, axis=1)
     weights = turned @ (inverse * at) * deviation
     weights[0] += mean
@@ -332,7 +387,13 @@ def _coverage(scaled: F64) -> float:
 
 
 def _judged(
-    features: F32, changed_parts: F64, labels: F64, groups: I64, space: _Space, first: _Fit, second: _Fit
+    features: F32,
+    changed_parts: F64,
+    labels: F64,
+    groups: I64,
+    space: _Space,
+    first: _Fit,
+    second: _Fit,
 ) -> tuple[tuple[float, float], list[_Solved]]:
     """Limits of leverage and residual for frames like the table's, and the second fit's held-out values, of frames held
     out before the directions (and in a small table the components) were found, because these fit few frames too well.
@@ -345,7 +406,11 @@ def _judged(
         held, rest = fold == part, fold != part
         if not held.any() or rest.sum() < LEAST_ROWS // 2:
             continue
-        known = _space(features[rest], changed_parts[rest]) if whole else replace(space, at=space.at[rest])
+        known = (
+            _space(features[rest], changed_parts[rest])
+            if whole
+            else replace(space, at=space.at[rest])
+        )
         standard = scaled(features[held], known.mean, known.deviation)
         at = (standard @ known.components).astype(np.float64)
         residuals = residual(standard.astype(np.float64), at, known.scale)
@@ -358,8 +423,13 @@ def _judged(
         basis = _basis(own @ metric, second[0].width)
         values = kernel(new @ metric, basis.centres, basis.width) @ basis.matrix
         for q in some:
-            held_out[q][:, held] = _of_fold(basis, labels[rest, q], values, new @ metric, second[1][q].ridge)
-    most = [max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6) for each in zip(*found, strict=True)]
+            held_out[q][:, held] = _of_fold(
+                basis, labels[rest, q], values, new @ metric, second[1][q].ridge
+            )
+    most = [
+        max(UNLIKE * float(np.quantile(np.concatenate(each), 0.99)), 1e-6)
+        for each in zip(*found, strict=True)
+    ]
     judged = []
     for q, one in enumerate(second[1]):
         values, variances = held_out[q][:, one.rows]

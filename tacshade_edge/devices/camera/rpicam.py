@@ -62,12 +62,39 @@ class RpicamSource(Camera):
         self._shape = (height_px, width_px)
         self._exposure_us, self._gain = exposure_us, gain
         self._command = (
-            *(PROGRAM, "--camera", str(camera), "--width", str(width_px), "--height", str(height_px)),
-            *("--framerate", f"{fps:g}", "--shutter", str(exposure_us), "--gain", f"{gain:g}", "--awbgains", "1,1"),
+            *(
+                PROGRAM,
+                "--camera",
+                str(camera),
+                "--width",
+                str(width_px),
+                "--height",
+                str(height_px),
+            ),
+            *(
+                "--framerate",
+                f"{fps:g}",
+                "--shutter",
+                str(exposure_us),
+                "--gain",
+                f"{gain:g}",
+                "--awbgains",
+                "1,1",
+            ),
             *("--autofocus-mode", "manual", "--lens-position"),
             "default" if lens_position is None else f"{lens_position:g}",
             *(("--mode", sensor_mode) if sensor_mode else ()),
-            *("--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0", "--nopreview", "--verbose", "0"),
+            *(
+                "--denoise",
+                "cdn_off",
+                "--codec",
+                "yuv420",
+                "--timeout",
+                "0",
+                "--nopreview",
+                "--verbose",
+                "0",
+            ),
             *("--flush", "--output", "-", "--metadata-format", "txt", "--metadata"),
         )
         self._settings = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
@@ -90,7 +117,9 @@ class RpicamSource(Camera):
                 raise ConfigError(str(error), code=error.code) from None
             raise
         self._proven = True
-        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items()))
+        _log.info(
+            "%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items())
+        )
 
     def _next(self) -> Frame:
         if self._stream is None:
@@ -117,8 +146,13 @@ class RpicamSource(Camera):
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
             # Twice: if nine shorter frames fill eight of ours, the ninth is reported too late to be noticed.
-            pairs = ((exposure_us, self._exposure_us), (gain, self._gain))  # a value that is missing counts as right
-            is_asked = all(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs)
+            pairs = (
+                (exposure_us, self._exposure_us),
+                (gain, self._gain),
+            )  # a value that is missing counts as right
+            is_asked = all(
+                np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs
+            )
             if is_asked and in_step and was_in_step:
                 break
         else:
@@ -131,13 +165,27 @@ class RpicamSource(Camera):
         age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
         self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
         exposure, white_balance = Control(Lock.LOCKED, exposure_us), Control(Lock.LOCKED)
-        focus = Control(Lock.LOCKED, _number(record, "LensPosition"))  # only a lens that moves has one
+        focus = Control(
+            Lock.LOCKED, _number(record, "LensPosition")
+        )  # only a lens that moves has one
         self._settings |= {
             "format": "YUV420",
             "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
-            **{"exposure": f"{exposure} us", "exposure_lock": exposure.lock, "exposure_value": exposure_us},
-            **{"gain": round(gain, 3), "white_balance": str(white_balance), "white_balance_lock": white_balance.lock},
-            **({"focus": f"{focus} dioptres", "focus_lock": focus.lock} if "LensPosition" in record else {}),
+            **{
+                "exposure": f"{exposure} us",
+                "exposure_lock": exposure.lock,
+                "exposure_value": exposure_us,
+            },
+            **{
+                "gain": round(gain, 3),
+                "white_balance": str(white_balance),
+                "white_balance_lock": white_balance.lock,
+            },
+            **(
+                {"focus": f"{focus} dioptres", "focus_lock": focus.lock}
+                if "LensPosition" in record
+                else {}
+            ),
             "time_stamps": "sensor" if self._has_stamps else "on arrival",
             "drops": "inferred from time stamps" if self._has_stamps else "not known",
         }
@@ -172,7 +220,10 @@ class _Stream:
             os.close(records)
             code, why = ReasonCode.PERMISSION, error.strerror
             if isinstance(error, FileNotFoundError):
-                code, why = ReasonCode.ABSENT, "no such program, expected that of Debian's package rpicam-apps-lite"
+                code, why = (
+                    ReasonCode.ABSENT,
+                    "no such program, expected that of Debian's package rpicam-apps-lite",
+                )
             raise DeviceError(f"{name}: {why}", code=code) from None
         finally:
             os.close(write_end)
@@ -190,7 +241,9 @@ class _Stream:
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._unread:
             whole = have == self._bytes
-            ready = select.select([*self._others, *(() if whole else (self._frames,))], [], [], limit_s)[0]
+            ready = select.select(
+                [*self._others, *(() if whole else (self._frames,))], [], [], limit_s
+            )[0]
             if not ready:
                 if whole and _is_readable(self._frames):
                     raise self.other_size()
@@ -215,7 +268,11 @@ class _Stream:
 
     def in_step(self) -> bool:
         """Whether no bytes remain of the frame and its record; also False if the next have already arrived."""
-        return b"\n\n" not in self._unread and not _is_readable(self._frames) and not _is_readable(self._records)
+        return (
+            b"\n\n" not in self._unread
+            and not _is_readable(self._frames)
+            and not _is_readable(self._records)
+        )
 
     def close(self) -> None:
         """End the program: with its pipes closed it cannot block, and on SIGINT it stops the camera."""
@@ -245,19 +302,30 @@ class _Stream:
             self._process.wait(_END_S)
         while self._errors in self._others and _is_readable(self._errors):
             self._hear()
-        lines = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
-        why = next((line for line in reversed(lines) if line.startswith("ERROR")), lines[-1] if lines else "no output")
+        lines = [
+            line.strip()
+            for line in self._said.decode("utf-8", "replace").splitlines()
+            if line.strip()
+        ]
+        why = next(
+            (line for line in reversed(lines) if line.startswith("ERROR")),
+            lines[-1] if lines else "no output",
+        )
         why = why.removeprefix("ERROR:").strip(" *")
         codes = {"acquire": ReasonCode.IN_USE, "available": ReasonCode.ABSENT}
         code = next((code for word, code in codes.items() if word in why), ReasonCode.LOST)
         status = self._process.returncode
-        return DeviceError(f"{self._name}: the program exited with status {status}: {why!r}", code=code)
+        return DeviceError(
+            f"{self._name}: the program exited with status {status}: {why!r}", code=code
+        )
 
     def other_size(self) -> DeviceError:
         """Return the error for frames of the wrong size."""
         height_px, width_px = self._shape
         expected = f"expected frames of {self._bytes} bytes ({width_px}x{height_px} YUV)"
-        return DeviceError(f"{self._name}: found frames of another size, {expected}", code=ReasonCode.NOT_OFFERED)
+        return DeviceError(
+            f"{self._name}: found frames of another size, {expected}", code=ReasonCode.NOT_OFFERED
+        )
 
 
 def _is_readable(fd: int) -> bool:

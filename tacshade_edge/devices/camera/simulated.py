@@ -31,7 +31,9 @@ class SimulatedSource:
     `script`: the presses of each frame; by default every object in turn.
     """
 
-    def __init__(self, *, fps: float, model: SensorModel | None = None, script: Script | None = None) -> None:
+    def __init__(
+        self, *, fps: float, model: SensorModel | None = None, script: Script | None = None
+    ) -> None:
         self._fps, self._period_ns = fps, round(1e9 / fps)
         self._script: Script = script or demonstration()
         self._sensor = SimulatedSensor(model)

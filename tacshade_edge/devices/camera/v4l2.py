@@ -43,10 +43,18 @@ class V4l2Source(Camera):
     """
 
     def __init__(
-        self, device: str, width_px: int, height_px: int, fps: float, fourcc: str, exposure: int | None = None
+        self,
+        device: str,
+        width_px: int,
+        height_px: int,
+        fps: float,
+        fourcc: str,
+        exposure: int | None = None,
     ) -> None:
         if fourcc not in FOURCCS:
-            raise ConfigError(f"camera {device}: found format {fourcc!r}, expected one of {', '.join(FOURCCS)}")
+            raise ConfigError(
+                f"camera {device}: found format {fourcc!r}, expected one of {', '.join(FOURCCS)}"
+            )
         if min(width_px, height_px) < 1 or not fps > 0:
             found = f"found {width_px}x{height_px} at {fps:g} fps"
             raise ConfigError(f"camera {device}: {found}, expected positive numbers")
@@ -78,7 +86,9 @@ class V4l2Source(Camera):
         try:
             if not capture.isOpened():
                 if v4l2_node.is_busy(self._device):
-                    raise DeviceError(f"{self._name}: in use by another program", code=ReasonCode.IN_USE)
+                    raise DeviceError(
+                        f"{self._name}: in use by another program", code=ReasonCode.IN_USE
+                    )
                 raise DeviceError(f"{self._name}: cannot set up the camera for capture")
             self._settings = {"card": card, **self._negotiate(capture)}
             self._gaps = FrameGaps()
@@ -89,7 +99,9 @@ class V4l2Source(Camera):
             raise
         self._capture = capture
         self._proven = True
-        _log.info("%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items()))
+        _log.info(
+            "%s: %s", self._name, ", ".join(f"{name} {got}" for name, got in self._settings.items())
+        )
 
     def _next(self) -> Frame:
         if self._capture is None:
@@ -119,7 +131,11 @@ class V4l2Source(Camera):
         capture.set(cv2.CAP_PROP_FPS, self._fps)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        fourcc = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", errors="replace")
+        fourcc = (
+            int(capture.get(cv2.CAP_PROP_FOURCC))
+            .to_bytes(4, "little")
+            .decode("ascii", errors="replace")
+        )
         width_got = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height_got = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if (fourcc, width_got, height_got) != (self._fourcc, width_px, height_px):
@@ -131,7 +147,11 @@ class V4l2Source(Camera):
             )
         exposure = v4l2_node.lock_exposure(capture, self._exposure)
         if self._exposure is not None and exposure.value != self._exposure:
-            got = "but the driver has no such control" if exposure.value is None else f"but got {exposure.value:g}"
+            got = (
+                "but the driver has no such control"
+                if exposure.value is None
+                else f"but got {exposure.value:g}"
+            )
             raise self._refused(f"requested exposure {self._exposure}, {got}")
         white_balance = v4l2_node.lock_white_balance(capture)
         return {
@@ -145,7 +165,10 @@ class V4l2Source(Camera):
             **({} if exposure.value is None else {"exposure_value": exposure.value}),
             "white_balance": str(white_balance),
             "white_balance_lock": white_balance.lock,
-            **{f"{name}_lock": control.lock for name, control in v4l2_node.lock_others(self._device).items()},
+            **{
+                f"{name}_lock": control.lock
+                for name, control in v4l2_node.lock_others(self._device).items()
+            },
         }
 
     def _refused(self, what: str) -> TacshadeError:
@@ -156,7 +179,9 @@ class V4l2Source(Camera):
         """Grab the first frame and decide whether the driver's time stamps are CLOCK_MONOTONIC."""
         self._grab(capture)
         age_ns = time.monotonic_ns() - _kernel_stamp_ns(capture)
-        self._has_stamps = -1e9 / max(float(self._settings["fps_stated"]), 1.0) <= age_ns < _STAMP_AGE_MAX_NS
+        self._has_stamps = (
+            -1e9 / max(float(self._settings["fps_stated"]), 1.0) <= age_ns < _STAMP_AGE_MAX_NS
+        )
         self._settings["time_stamps"] = "kernel" if self._has_stamps else "on arrival"
         self._settings["drops"] = "inferred from time stamps" if self._has_stamps else "not known"
 
@@ -166,7 +191,11 @@ class V4l2Source(Camera):
             waited_s = (time.monotonic_ns() - began_ns) / 1e9
             # Reading a device that is gone fails at once, although OpenCV still reports it as open.
             gone = waited_s < 0.5 * _STALL_S
-            why = "the device is gone, or its driver has stopped" if gone else "the camera has stalled"
+            why = (
+                "the device is gone, or its driver has stopped"
+                if gone
+                else "the camera has stalled"
+            )
             code = ReasonCode.LOST if gone else ReasonCode.STALLED
             raise DeviceError(f"{self._name}: no frame within {waited_s:.1f} s: {why}", code=code)
 
@@ -180,7 +209,11 @@ class V4l2Source(Camera):
             now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
             t_ns = self._date(_kernel_stamp_ns(capture), now_ns)
             ok, raw = capture.retrieve()
-            image = decode(np.asarray(raw, np.uint8).reshape(-1), self._fourcc, *self._shape) if ok else None
+            image = (
+                decode(np.asarray(raw, np.uint8).reshape(-1), self._fourcc, *self._shape)
+                if ok
+                else None
+            )
             if image is not None:
                 return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
             size = raw.size if ok else 0
@@ -218,4 +251,6 @@ def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
 
 
 def _kernel_stamp_ns(capture: cv2.VideoCapture) -> int:
-    return round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1000) * 1000  # the kernel counts whole microseconds
+    return (
+        round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1000) * 1000
+    )  # the kernel counts whole microseconds

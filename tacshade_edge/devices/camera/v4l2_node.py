@@ -41,12 +41,17 @@ def check_kind(device: str) -> None:
         return
     if not stat.S_ISCHR(status.st_mode):
         kind = "directory" if stat.S_ISDIR(status.st_mode) else "file"
-        raise ConfigError(f"camera {device}: found a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
+        raise ConfigError(
+            f"camera {device}: found a {kind}, {_EXPECTED}", code=ReasonCode.WRONG_KIND
+        )
     number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
     subsystem = Path("/sys/dev/char", number, "subsystem")
     # A node without an entry there is being plugged or unplugged: opening it shows which.
     if subsystem.exists() and subsystem.resolve().name != "video4linux":
-        raise ConfigError(f"camera {device}: found another kind of device, {_EXPECTED}", code=ReasonCode.WRONG_KIND)
+        raise ConfigError(
+            f"camera {device}: found another kind of device, {_EXPECTED}",
+            code=ReasonCode.WRONG_KIND,
+        )
 
 
 def check_node(device: str) -> str:
@@ -85,7 +90,11 @@ def is_busy(device: str) -> bool:
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
             try:
-                fcntl.ioctl(fd, _VIDIOC_REQBUFS, bytearray(struct.pack("<5I", 0, buf_type, _MEMORY_MMAP, 0, 0)))
+                fcntl.ioctl(
+                    fd,
+                    _VIDIOC_REQBUFS,
+                    bytearray(struct.pack("<5I", 0, buf_type, _MEMORY_MMAP, 0, 0)),
+                )
             except OSError as error:
                 if error.errno == errno.EBUSY:
                     return True
@@ -99,7 +108,9 @@ def _opened(device: str) -> Iterator[int]:
     try:
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise DeviceError(f"camera {escaped(device)}: no such device, {_EXPECTED}", code=ReasonCode.ABSENT) from None
+        raise DeviceError(
+            f"camera {escaped(device)}: no such device, {_EXPECTED}", code=ReasonCode.ABSENT
+        ) from None
     except PermissionError:
         text = f"camera {device}: no permission to open it (is the user in the group video?)"
         raise DeviceError(text, code=ReasonCode.PERMISSION) from None
@@ -153,7 +164,9 @@ class Control:
             return "no control"
         if self.lock is Lock.LOCKED:
             return "locked" if self.value is None else f"locked at {self.value:g}"
-        return "automatic; the driver does not lock it" + ("" if self.value is None else f" ({self.value:g})")
+        return "automatic; the driver does not lock it" + (
+            "" if self.value is None else f" ({self.value:g})"
+        )
 
 
 def lock_exposure(capture: Properties, exposure: int | None) -> Control:
@@ -185,12 +198,16 @@ def lock_others(device: str) -> dict[str, Control]:
                 packed = bytearray(off)
                 try:
                     fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
-                    with suppress(OSError):  # read-only, or the driver refuses: the value read back says so
+                    with suppress(
+                        OSError
+                    ):  # read-only, or the driver refuses: the value read back says so
                         fcntl.ioctl(fd, _VIDIOC_S_CTRL, bytearray(off))
                     fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
                 except OSError:
                     continue  # no such control
-                found[name] = Control(Lock.AUTOMATIC if struct.unpack("=Ii", packed)[1] else Lock.LOCKED)
+                found[name] = Control(
+                    Lock.AUTOMATIC if struct.unpack("=Ii", packed)[1] else Lock.LOCKED
+                )
     except (ConfigError, DeviceError):
         pass
     return {name: found.get(name, Control(Lock.NO_CONTROL)) for name in AUTOMATICS}

@@ -29,7 +29,9 @@ class MqttCaller(Follower):
     Raises ConfigError (a host name or authority file that can never work).
     """
 
-    def __init__(self, broker: BrokerAddress, *, sensor_id: str, verb: str, watched: tuple[str, ...]) -> None:
+    def __init__(
+        self, broker: BrokerAddress, *, sensor_id: str, verb: str, watched: tuple[str, ...]
+    ) -> None:
         super().__init__(broker, self._hear, name=verb)
         self._sensor_id, self._verb = sensor_id, verb
         self._base = f"tacshade/{sensor_id}"
@@ -49,7 +51,9 @@ class MqttCaller(Follower):
         super().start()
         self.wait_for(lambda: self._ready or self._failure is not None, CONNECT_S)
         if not self._ready:
-            reason = self._failure or Reason(ReasonCode.NO_ANSWER, f"no answer within {CONNECT_S:.0f} s")
+            reason = self._failure or Reason(
+                ReasonCode.NO_ANSWER, f"no answer within {CONNECT_S:.0f} s"
+            )
             raise DeviceError(f"{self._where}: {reason}; expected a broker", code=reason.code)
 
     def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
@@ -59,14 +63,20 @@ class MqttCaller(Follower):
         self._asked, self._denied, self._reply = secrets.token_hex(8), None, None
         payload = json.dumps({**body, "transaction": self._asked}).encode()
         self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
-        answered = self.wait_for(lambda: self._reply is not None or self._denied is not None, timeout_s)
+        answered = self.wait_for(
+            lambda: self._reply is not None or self._denied is not None, timeout_s
+        )
         if (denied := self._denied) is not None:
             found = f"{self._where}: rejects {self._base}/req/{self._verb}: {denied}"
-            rules = "change the broker's access rules (ACL) to allow this user to publish to this topic"
+            rules = (
+                "change the broker's access rules (ACL) to allow this user to publish to this topic"
+            )
             fix = MESSAGE_SIZE_FIX if denied.value == PACKET_TOO_LARGE else rules
             raise DeviceError(f"{found}; {fix}", code=ReasonCode.REFUSED)
         if not answered or (reply := self._reply) is None:
-            found = f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
+            found = (
+                f"{self._where}: no answer from sensor {self._sensor_id} within {timeout_s:.0f} s"
+            )
             raise DeviceError(f"{found}; is the daemon running?", code=ReasonCode.NO_ANSWER)
         match reply:
             case {"ok": True, "result": dict(result)}:
@@ -95,7 +105,9 @@ class MqttCaller(Follower):
             self._failure = reason
             self._changed.notify_all()
 
-    def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[MqttCode], properties: Any) -> None:
+    def _on_subscribe(
+        self, client: Client, userdata: Any, mid: int, codes: list[MqttCode], properties: Any
+    ) -> None:
         super()._on_subscribe(client, userdata, mid, codes, properties)
         with self._changed:
             self._ready = self._failure is None

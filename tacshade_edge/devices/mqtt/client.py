@@ -29,7 +29,11 @@ _CONNECT_TIMEOUT_S: Final = 3.0
 _INCOMING_BYTES_MAX: Final = 65536
 # Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only a few are allowed.
 # We give up a peer that accepts nothing for 4 s, before TCP retries less often than we reconnect.
-_SOCKET_OPTIONS: Final = (("TCP_NODELAY", 1), ("TCP_NOTSENT_LOWAT", 1 << 17), ("TCP_USER_TIMEOUT", 4000))
+_SOCKET_OPTIONS: Final = (
+    ("TCP_NODELAY", 1),
+    ("TCP_NOTSENT_LOWAT", 1 << 17),
+    ("TCP_USER_TIMEOUT", 4000),
+)
 
 
 class BrokerAddress(TypedDict):
@@ -61,7 +65,11 @@ class Session(Client):
                 on_message(message._topic.decode(errors="replace"), message)  # `topic` raises
             except DecodeError as error:
                 if not self.refused:
-                    _log.warning("%s: %s; dropped the message; further ones are only counted", self.host, error)
+                    _log.warning(
+                        "%s: %s; dropped the message; further ones are only counted",
+                        self.host,
+                        error,
+                    )
                 self.refused += 1
 
         self.on_message = enter
@@ -69,7 +77,9 @@ class Session(Client):
     def answered(self, on_answer: Callable[[int, ReasonCode], None]) -> None:
         """Hand the id and reason code of every message that was sent (QoS 0) or answered (QoS 1) to `on_answer`."""
 
-        def enter(_client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any) -> None:
+        def enter(
+            _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any
+        ) -> None:
             value, self._unknown_code = self._unknown_code, None
             if value is not None:
                 name = "Packet too large" if value == PACKET_TOO_LARGE else f"reason code {value}"
@@ -123,7 +133,9 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
     """
     tls_ca = broker["tls_ca"]
     _check(broker["host"], base_topic)
-    client = Session(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
+    client = Session(
+        CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5
+    )
     client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
     client.connect_timeout = _CONNECT_TIMEOUT_S
     client.on_socket_open = _on_socket_open
@@ -139,12 +151,16 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
     return client
 
 
-def connect(client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX) -> None:
+def connect(
+    client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX
+) -> None:
     """Start the client's network thread, which connects and reconnects by itself.
 
     The broker never sends us a packet above `incoming_bytes_max`: requests are small, and memory is bounded.
     """
-    client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max))
+    client.connect_async(
+        host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max)
+    )
     client.loop_start()
 
 
@@ -157,11 +173,17 @@ def connect_now(
     keepalive_s: int = _KEEPALIVE_S,
 ) -> None:
     """Connect without a thread: the caller makes the client read and write. Raises OSError."""
-    client.connect(host, port, keepalive_s, clean_start=True, properties=_limits(incoming_bytes_max))
+    client.connect(
+        host, port, keepalive_s, clean_start=True, properties=_limits(incoming_bytes_max)
+    )
 
 
 def publish_properties(
-    content_type: str, *, expiry_s: int | None = None, correlation: bytes | None = None, of_will: bool = False
+    content_type: str,
+    *,
+    expiry_s: int | None = None,
+    correlation: bytes | None = None,
+    of_will: bool = False,
 ) -> Properties:
     """Return the MQTT 5 properties of a message or a last will; subscribers of version 3.1.1 do not see them."""
     properties = _properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)

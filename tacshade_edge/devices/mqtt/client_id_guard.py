@@ -27,7 +27,9 @@ from tacshade_edge.reasons import Reason, ReasonCode
 _ANSWER_S: Final = 2.0
 _UNKNOWN_S: Final = 0.3  # a broker without retained values of this name sends nothing
 _LIFE_S: Final = 3.0  # three times the period of `health`
-_GONE_S: Final = 10.0  # time for a restarted holder or broker to restore the name before another takes it
+_GONE_S: Final = (
+    10.0  # time for a restarted holder or broker to restore the name before another takes it
+)
 _POLL_S: Final = 0.05
 _ALIVE: Final = (b"online", b"degraded")
 
@@ -42,7 +44,9 @@ class ClientIdGuard:
     client ID, not connected. `instance`: this daemon's `new_instance`.
     """
 
-    def __init__(self, client: Session, host: str, port: int, base_topic: str, instance: dict[str, str | int]) -> None:
+    def __init__(
+        self, client: Session, host: str, port: int, base_topic: str, instance: dict[str, str | int]
+    ) -> None:
         self._client, self._host, self._port, self._base = client, host, port, base_topic
         self._instance = instance
         self._rival = f"{base_topic}/status/rival"
@@ -59,7 +63,9 @@ class ClientIdGuard:
         self._holder: dict[str, Any] = {}
         self._seen_s = 0.0
 
-    def wait_until_gone(self, report: Callable[[Reason], None], stopped: Callable[[], bool]) -> None:
+    def wait_until_gone(
+        self, report: Callable[[Reason], None], stopped: Callable[[], bool]
+    ) -> None:
         """Return when the name may be taken, at once if nobody holds it, or when `stopped`.
 
         It also returns if the broker rejects the query: connecting will show why.
@@ -72,7 +78,12 @@ class ClientIdGuard:
         try:
             connect_now(self._client, self._host, self._port)
             end_s = time.monotonic() + _ANSWER_S
-            while not self._asked and not stopped() and time.monotonic() < end_s and self._client.step(_POLL_S):
+            while (
+                not self._asked
+                and not stopped()
+                and time.monotonic() < end_s
+                and self._client.step(_POLL_S)
+            ):
                 pass
             if not self._asked:
                 return
@@ -95,7 +106,9 @@ class ClientIdGuard:
         """Whether nobody else holds the name, as far as is known now."""
         quiet_s = time.monotonic() - self._seen_s
         if self._state not in _ALIVE:
-            return quiet_s >= (_GONE_S if self._waited else _UNKNOWN_S if self._state is None else 0.0)
+            return quiet_s >= (
+                _GONE_S if self._waited else _UNKNOWN_S if self._state is None else 0.0
+            )
         if self._holder.get("id") == self._instance["id"]:
             return True
         if not self._living:  # retained values of a daemon that died unnoticed
@@ -106,12 +119,18 @@ class ClientIdGuard:
         if not self._reported:
             self._reported = True
             status = encode_status("waiting", reason, self._instance)
-            self._client.publish(self._rival, status, 0, True, publish_properties("application/json"))
+            self._client.publish(
+                self._rival, status, 0, True, publish_properties("application/json")
+            )
         return False
 
-    def _on_connect(self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         if not code.is_failure:
-            client.subscribe([(f"{self._base}/{name}", 1) for name in ("state", "instance", "health")])
+            client.subscribe(
+                [(f"{self._base}/{name}", 1) for name in ("state", "instance", "health")]
+            )
 
     def _on_subscribe(self, *_: Any) -> None:
         self._asked = True

@@ -29,23 +29,36 @@ class Follower:
     """
 
     def __init__(
-        self, broker: BrokerAddress, on_message: Callable[[str, bytes, bool], None], *, name: str = "bridge"
+        self,
+        broker: BrokerAddress,
+        on_message: Callable[[str, bytes, bool], None],
+        *,
+        name: str = "bridge",
     ) -> None:
         self._broker, self._where = broker, f"{broker['host']}:{broker['port']}"
         self._lock = threading.Lock()
         self._topics: frozenset[str] = frozenset()
         self._connected = False
         self._logged: Reason | None = Reason(ReasonCode.STARTING, "not started")
-        self._client = make_client(broker, base_topic="tacshade", client_id=f"tacshade-{name}-{secrets.token_hex(6)}")
+        self._client = make_client(
+            broker, base_topic="tacshade", client_id=f"tacshade-{name}-{secrets.token_hex(6)}"
+        )
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
-        self._client.receive(lambda topic, message: on_message(topic, bytes(message.payload), message.retain))
+        self._client.receive(
+            lambda topic, message: on_message(topic, bytes(message.payload), message.retain)
+        )
 
     def start(self) -> None:
         """Start connecting, and keep trying until `stop`; an absent broker is no error."""
-        connect(self._client, self._broker["host"], self._broker["port"], incoming_bytes_max=_INCOMING_BYTES_MAX)
+        connect(
+            self._client,
+            self._broker["host"],
+            self._broker["port"],
+            incoming_bytes_max=_INCOMING_BYTES_MAX,
+        )
 
     def follow(self, topics: Collection[str]) -> None:
         """Follow these topics and no others from now on; callable from any thread."""
@@ -79,7 +92,9 @@ class Follower:
 
     # -- called by paho, in its thread ----------------------------------------------------------------------------
 
-    def _on_connect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_connect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         if code.is_failure:
             fix = refusal_fix(code.value, self._broker["username"])
             self._report(Reason(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix)
@@ -94,12 +109,16 @@ class Follower:
         fix = connect_fix(error, self._broker["host"], self._broker["port"], self._broker["tls_ca"])
         self._report(Reason(ReasonCode.UNREACHABLE, text), fix)
 
-    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_disconnect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         with self._lock:
             was, self._connected = self._connected, False
         if was:
             self._report(Reason(ReasonCode.LOST, f"connection lost ({code})"), BROKERS_LOG)
 
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+    def _on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
+    ) -> None:
         if refused := next((code for code in codes if code.is_failure), None):
             self._report(Reason(ReasonCode.REFUSED, f"rejects a subscription: {refused}"), _ACL_FIX)

@@ -64,7 +64,9 @@ def read_request(base_topic: str, topic: str, message: MQTTMessage) -> Request |
         return parse_request(verb, payload, response_topic=response_topic, correlation=correlation)
     except DecodeError as error:
         answer_on = response_topic or (f"res/{verb}" if _may_name_a_topic(verb) else None)
-        return BadRequest(answer_on, encode_error(parse_transaction(payload), error.reason), correlation)
+        return BadRequest(
+            answer_on, encode_error(parse_transaction(payload), error.reason), correlation
+        )
 
 
 def _may_name_a_topic(text: str) -> bool:
@@ -103,8 +105,13 @@ class MqttLink(Outgoing):
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
         instance = new_instance()
-        self._broker = BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
-        client, asking = (make_client(self._broker, base_topic=base_topic, client_id=name) for name in (client_id, ""))
+        self._broker = BrokerAddress(
+            host=host, port=port, username=username, password=password, tls_ca=tls_ca
+        )
+        client, asking = (
+            make_client(self._broker, base_topic=base_topic, client_id=name)
+            for name in (client_id, "")
+        )
         super().__init__(client, f"{host}:{port}", base_topic, on_outcome)
         self._on_request = on_request
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
@@ -186,11 +193,22 @@ class MqttLink(Outgoing):
         """Record that a connection ended; paho may lose one without a code."""
         if self.connected and not self._stopping:
             why = "connection lost" if code is None else f"connection lost ({code})"
-            fix = MESSAGE_SIZE_FIX if code is not None and code.value == PACKET_TOO_LARGE else BROKERS_LOG
+            fix = (
+                MESSAGE_SIZE_FIX
+                if code is not None and code.value == PACKET_TOO_LARGE
+                else BROKERS_LOG
+            )
             self._set_reason(self._with_address(ReasonCode.LOST, why), fix)
-        elif code is not None and not self._stopping and not (self._reason and self._reason.code is ReasonCode.REFUSED):
+        elif (
+            code is not None
+            and not self._stopping
+            and not (self._reason and self._reason.code is ReasonCode.REFUSED)
+        ):
             text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
-            self._set_reason(self._with_address(ReasonCode.NO_ANSWER, text), no_answer_fix(self._broker["tls_ca"]))
+            self._set_reason(
+                self._with_address(ReasonCode.NO_ANSWER, text),
+                no_answer_fix(self._broker["tls_ca"]),
+            )
         self._lost()
 
     def _subscribed(self, codes: list[MqttCode]) -> None:
@@ -234,11 +252,18 @@ class MqttLink(Outgoing):
         self._set_reason(reason, "stop the other daemon, or wait until it ends")
 
     def _on_connect(
-        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, properties: Properties | None
+        self,
+        client: Client,
+        _userdata: Any,
+        _flags: Any,
+        code: MqttCode,
+        properties: Properties | None,
     ) -> None:
         if code.is_failure:
             fix = refusal_fix(code.value, self._broker["username"])
-            self._set_reason(self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix)
+            self._set_reason(
+                self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix
+            )
             return
         if self._stopping:
             client.disconnect()
@@ -247,7 +272,10 @@ class MqttLink(Outgoing):
         client.subscribe(
             [
                 (f"{self._base}/req/+", SubscribeOptions(1, noLocal=True, retainHandling=2)),
-                *((f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True)) for topic in self._watched),
+                *(
+                    (f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True))
+                    for topic in self._watched
+                ),
             ]
         )
         self._post(lambda: self._set_reason(None))
@@ -256,13 +284,19 @@ class MqttLink(Outgoing):
     def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
         error, text = connect_failure()
         if not self._stopping:
-            fix = connect_fix(error, self._broker["host"], self._broker["port"], self._broker["tls_ca"])
+            fix = connect_fix(
+                error, self._broker["host"], self._broker["port"], self._broker["tls_ca"]
+            )
             self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
 
-    def _on_disconnect(self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any) -> None:
+    def _on_disconnect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
+    ) -> None:
         self._post(lambda: self._disconnected(code))
 
-    def _on_subscribe(self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any) -> None:
+    def _on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
+    ) -> None:
         self._post(lambda: self._subscribed(codes))
 
     def _on_message(self, topic: str, message: MQTTMessage) -> None:

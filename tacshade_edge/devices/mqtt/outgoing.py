@@ -22,7 +22,12 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.devices.fixes import MESSAGE_SIZE_FIX, with_fix
-from tacshade_edge.devices.mqtt.client import PACKET_TOO_LARGE, Session, packet_bytes, publish_properties
+from tacshade_edge.devices.mqtt.client import (
+    PACKET_TOO_LARGE,
+    Session,
+    packet_bytes,
+    publish_properties,
+)
 from tacshade_edge.protocol.requests import Request
 from tacshade_edge.protocol.topics import OF_SENSORS
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -70,7 +75,9 @@ class _Slot:
     refused: bool | None = None
 
     def probe_due(self, now_ns: int) -> bool:
-        return self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
+        return (
+            self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
+        )
 
     def next_qos(self, now_ns: int) -> int:
         """Return the QoS of the message being sent: 1 for a probe. Until its answer comes, the previous one holds."""
@@ -106,9 +113,18 @@ class Outgoing:
     """
 
     def __init__(
-        self, client: Session, where: str, base_topic: str, on_outcome: Callable[[str, int, PayloadOutcome], None]
+        self,
+        client: Session,
+        where: str,
+        base_topic: str,
+        on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
-        self._client, self._where, self._base, self._on_outcome = client, where, base_topic, on_outcome
+        self._client, self._where, self._base, self._on_outcome = (
+            client,
+            where,
+            base_topic,
+            on_outcome,
+        )
         self._calls: deque[Callable[[], None]] = deque()
         self._turn = threading.Lock()
         self._away = threading.Event()
@@ -138,7 +154,10 @@ class Outgoing:
 
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
-        return {**self._counters, "bad_requests": self._counters["bad_requests"] + self._client.refused}
+        return {
+            **self._counters,
+            "bad_requests": self._counters["bad_requests"] + self._client.refused,
+        }
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.
@@ -178,14 +197,20 @@ class Outgoing:
             slot, item = self._slot(stream, 0, False), _Item(payload, seq)
             displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
             if displaced is not None:
-                self._settle("superseded" if self.connected and not self._stopping else "failed", slot, displaced)
+                self._settle(
+                    "superseded" if self.connected and not self._stopping else "failed",
+                    slot,
+                    displaced,
+                )
             self._pump(slot)
 
         self._post(put)
 
     def reply(self, request: Request, payload: bytes) -> None:
         """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic. Lost with the connection."""
-        self._send_once("replies", request.response_topic or f"res/{request.verb}", payload, request.correlation)
+        self._send_once(
+            "replies", request.response_topic or f"res/{request.verb}", payload, request.correlation
+        )
 
     def publish_event(self, topic: str, payload: bytes) -> None:
         """Publish an event once, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
@@ -209,8 +234,12 @@ class Outgoing:
     def _slot(self, topic: str, qos: int, retain: bool) -> _Slot:
         if topic not in self._slots:
             content_type = CONTENT_TYPES.get(topic, _JSON)
-            properties = publish_properties(content_type, expiry_s=None if retain else _STREAM_EXPIRY_S)
-            self._slots[topic] = _Slot(topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties)
+            properties = publish_properties(
+                content_type, expiry_s=None if retain else _STREAM_EXPIRY_S
+            )
+            self._slots[topic] = _Slot(
+                topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties
+            )
         return self._slots[topic]
 
     def _pump(self, slot: _Slot) -> None:
@@ -221,7 +250,11 @@ class Outgoing:
         """
         state = self._slots["state"]
         while (item := slot.waiting) is not None and len(slot.handed) < slot.most:
-            if not self.connected or self._stopping or (slot is not state and state.refused is None):
+            if (
+                not self.connected
+                or self._stopping
+                or (slot is not state and state.refused is None)
+            ):
                 return
             slot.waiting = None
             size = packet_bytes(self._path(slot.topic), item.payload, slot.properties)
@@ -229,8 +262,12 @@ class Outgoing:
                 self._settle("refused", slot, item)
                 continue
             qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
-            info = self._client.publish(self._path(slot.topic), item.payload, qos, slot.retain, slot.properties)
-            if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:  # the connection is failing; the next one pumps
+            info = self._client.publish(
+                self._path(slot.topic), item.payload, qos, slot.retain, slot.properties
+            )
+            if (
+                info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS
+            ):  # the connection is failing; the next one pumps
                 slot.waiting = item
                 return
             slot.handed.append(item)
@@ -277,7 +314,13 @@ class Outgoing:
                 slot.no_listener, slot.refused = code.value == _NO_LISTENER, code.is_failure
         state = self._slots["state"]
         # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
-        denied = code.is_failure if slot.retain else state.refused if slot.refused is None else slot.refused
+        denied = (
+            code.is_failure
+            if slot.retain
+            else state.refused
+            if slot.refused is None
+            else slot.refused
+        )
         self._settle("refused" if too_large or denied else "published", slot, item)
         if slot is state:
             for other in sorted(self._slots.values(), key=lambda o: (o is state, not o.retain)):
@@ -331,7 +374,10 @@ class Outgoing:
     def _accepted(self, bytes_max: int | None) -> None:
         """Begin a connection to a broker that accepts packets of this size; None is any."""
         self._counters["connects"] += 1
-        self._bytes_max, self._bytes_max_why = bytes_max, f"accepts packets of at most {bytes_max} bytes"
+        self._bytes_max, self._bytes_max_why = (
+            bytes_max,
+            f"accepts packets of at most {bytes_max} bytes",
+        )
         self._bytes_proven, self._too_large = 0, None
         self._away.clear()
         self._pump(self._slots["state"])

@@ -50,7 +50,9 @@ class SerialPort:
         try:
             check_kind(self.device)
         except ConfigError as error:
-            if self._proven:  # it worked before: the path under /dev has changed, and may change back
+            if (
+                self._proven
+            ):  # it worked before: the path under /dev has changed, and may change back
                 raise DeviceError(str(error), code=error.code) from None
             raise
         try:
@@ -60,12 +62,16 @@ class SerialPort:
             port.exclusive = True
             port.open()
         except ValueError as error:  # pyserial: the port does not support this rate
-            raise ConfigError(f"serial {self.device}: {error}; expected a baud rate that the port supports") from None
+            raise ConfigError(
+                f"serial {self.device}: {error}; expected a baud rate that the port supports"
+            ) from None
         except (OSError, termios.error) as error:
             raise self._failed(error) from error
         self._port, self._proven = port, True
         self._low_latency = False
-        with contextlib.suppress(AttributeError, NotImplementedError, ValueError):  # USB CDC, a pty, a URL
+        with contextlib.suppress(
+            AttributeError, NotImplementedError, ValueError
+        ):  # USB CDC, a pty, a URL
             port.set_low_latency_mode(True)
             self._low_latency = True
 
@@ -115,7 +121,9 @@ class SerialPort:
         details: dict[str, str | int | float] = {"device": self.device, "baud": self.baud}
         if self._port is not None and self._low_latency:
             details["low_latency"] = "yes"
-        timer = Path("/sys/class/tty") / Path(self.device).resolve().name / "device" / "latency_timer"
+        timer = (
+            Path("/sys/class/tty") / Path(self.device).resolve().name / "device" / "latency_timer"
+        )
         with contextlib.suppress(OSError, ValueError):  # no FTDI chip
             details["latency_ms"] = int(timer.read_text())
         return details
@@ -140,7 +148,9 @@ def check_kind(device: str) -> None:
         try:
             serial.serial_for_url(device, do_not_open=True)
         except ValueError as error:
-            raise ConfigError(f"serial {device}: {error}; expected a device or a pyserial URL") from None
+            raise ConfigError(
+                f"serial {device}: {error}; expected a device or a pyserial URL"
+            ) from None
     elif (path := Path(device)).exists() and not stat.S_ISCHR(path.stat().st_mode):
         found = "found another kind of file, expected a serial port's character device"
         raise ConfigError(f"serial {device}: {found}", code=ReasonCode.WRONG_KIND)

@@ -28,14 +28,18 @@ SyncMode = Literal["none", "oneway", "two-way"]
 EXCHANGES_KEPT: Final = 60
 EXCHANGE_AGE_MAX_NS: Final = 300_000_000_000
 BEST_FRACTION, BEST_MIN = 1 / 4, 4  # of the exchanges
-TWO_WAY_ERROR_MAX_NS: Final = 20_000_000  # of a line without new exchanges; beyond it, arrivals are more accurate
+TWO_WAY_ERROR_MAX_NS: Final = (
+    20_000_000  # of a line without new exchanges; beyond it, arrivals are more accurate
+)
 DRIFT_EXPECTED: Final = 1e-3  # of a ceramic resonator; a crystal has a tenth of it
 TOLERANCE_NS: Final = 20_000  # reading a clock
 DRIFT_REPORTED_PPM: Final = 500.0
 ONE_WAY_LATENCY_NS: Final = 2_000_000
 BUCKET_NS: Final = 1_000_000_000
 BUCKETS_KEPT: Final = 60
-LATE_NS: Final = 50_000_000  # this much later than the envelope for `LATE_BUCKETS`: the clock was set back
+LATE_NS: Final = (
+    50_000_000  # this much later than the envelope for `LATE_BUCKETS`: the clock was set back
+)
 LATE_BUCKETS: Final = 3
 BACKWARDS_NS: Final = 1_000_000_000  # a robot's time that goes back by more has restarted
 
@@ -91,7 +95,8 @@ class _Line:
     def local(self, robot_ns: int) -> ConvertedTime:
         after_ns = robot_ns - self.at_ns
         return ConvertedTime(
-            robot_ns + self.base_ns + round(self.rest_ns + self.slope * after_ns), self.error_ns(after_ns)
+            robot_ns + self.base_ns + round(self.rest_ns + self.slope * after_ns),
+            self.error_ns(after_ns),
         )
 
     def robot(self, local_ns: int) -> ConvertedTime:
@@ -108,11 +113,15 @@ class ClockSync:
     def __init__(self) -> None:
         self.counts = SyncCounts()
         self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
-        self._open: tuple[int, int, int] | None = None  # t1, t2, t3 of the latest SYNC; t4 comes with the next
+        self._open: tuple[int, int, int] | None = (
+            None  # t1, t2, t3 of the latest SYNC; t4 comes with the next
+        )
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
         self._suspect: _Exchange | None = None
         self._two_way: _Line | None = None
-        self._buckets: deque[tuple[int, int]] = deque(maxlen=BUCKETS_KEPT)  # of arrivals: time, least delay
+        self._buckets: deque[tuple[int, int]] = deque(
+            maxlen=BUCKETS_KEPT
+        )  # of arrivals: time, least delay
         self._bucket: tuple[int, int] | None = None
         self._one_way: _Line | None = None
         self._newest_ns: int | None = None
@@ -181,9 +190,13 @@ class ClockSync:
         reason = None
         if abs(drift_ppm) - 2e6 * line.slope_sigma > DRIFT_REPORTED_PPM:
             size, sign = round(abs(drift_ppm), -2), "slow" if drift_ppm > 0 else "fast"
-            reason = Reason(ReasonCode.CLOCK_DRIFT, f"the robot's clock is about {size:.0f} ppm {sign}")
+            reason = Reason(
+                ReasonCode.CLOCK_DRIFT, f"the robot's clock is about {size:.0f} ppm {sign}"
+            )
         mode: SyncMode = "two-way" if line is self._two_way else "oneway"
-        return SyncState(mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000))
+        return SyncState(
+            mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000)
+        )
 
     def _line(self) -> _Line | None:
         newest_ns, two_way = self._newest_ns, self._two_way
@@ -194,7 +207,9 @@ class ClockSync:
         return self._one_way or two_way
 
     def _forget(self) -> None:
-        self._open = self._suspect = self._two_way = self._bucket = self._one_way = self._newest_ns = None
+        self._open = self._suspect = self._two_way = self._bucket = self._one_way = (
+            self._newest_ns
+        ) = None
         self._exchanges.clear()
         self._buckets.clear()
 
@@ -219,9 +234,9 @@ class ClockSync:
             latest = self._open
             self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped"))
             self._open, self._newest_ns = latest, exchange.robot_ns
-            if abs(exchange.offset_ns - suspect.offset_ns) <= (exchange.round_trip_ns + suspect.round_trip_ns) / 2 + (
-                DRIFT_EXPECTED * (exchange.robot_ns - suspect.robot_ns)
-            ):
+            if abs(exchange.offset_ns - suspect.offset_ns) <= (
+                exchange.round_trip_ns + suspect.round_trip_ns
+            ) / 2 + (DRIFT_EXPECTED * (exchange.robot_ns - suspect.robot_ns)):
                 self._exchanges.append(suspect)
         elif suspect is not None:
             self.counts.outliers += 1
@@ -243,7 +258,9 @@ class ClockSync:
         latest = [*self._buckets][-LATE_BUCKETS:]
         line = self._one_way
         if len(latest) == LATE_BUCKETS and line is not None:
-            late_ns = min(robot_ns + delay_ns - line.local(robot_ns).t_ns for robot_ns, delay_ns in latest)
+            late_ns = min(
+                robot_ns + delay_ns - line.local(robot_ns).t_ns for robot_ns, delay_ns in latest
+            )
             if late_ns > LATE_NS and self._two_way is None:
                 newest_ns = self._newest_ns
                 text = "the robot's clock was set back, or the serial line became slow"
@@ -268,7 +285,15 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
     slope = float(weights @ ((x - mean_x) * (y - mean_y))) / information
     middle = round(mean_x)
     rest_ns, sigma_ns = mean_y + slope * (middle - mean_x), float(total) ** -0.5
-    return _Line(at_ns + middle, base_ns, rest_ns, slope, information**-0.5, sigma_ns, bound_ns + TOLERANCE_NS)
+    return _Line(
+        at_ns + middle,
+        base_ns,
+        rest_ns,
+        slope,
+        information**-0.5,
+        sigma_ns,
+        bound_ns + TOLERANCE_NS,
+    )
 
 
 def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
@@ -291,9 +316,21 @@ def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
     (x0, y0), (x1, y1) = hull[max(at - 1, 0)], hull[at]
     span = x1 - x0
     # Below ten seconds, the slope of an envelope is the noise of two arrivals.
-    slope = max(-DRIFT_EXPECTED, min(DRIFT_EXPECTED, (y1 - y0) / span)) if span >= 10 * BUCKET_NS else 0.0
+    slope = (
+        max(-DRIFT_EXPECTED, min(DRIFT_EXPECTED, (y1 - y0) / span))
+        if span >= 10 * BUCKET_NS
+        else 0.0
+    )
     rest = min(y - slope * x for x, y in placed)
     above = sorted(y - slope * x - rest for x, y in placed)
     spread = above[len(above) // 2]
     slope_sigma = max(spread, TOLERANCE_NS) / max(placed[-1][0], BUCKET_NS)
-    return _Line(first_ns, base_ns, rest, slope, min(slope_sigma, DRIFT_EXPECTED), 0.0, spread + ONE_WAY_LATENCY_NS)
+    return _Line(
+        first_ns,
+        base_ns,
+        rest,
+        slope,
+        min(slope_sigma, DRIFT_EXPECTED),
+        0.0,
+        spread + ONE_WAY_LATENCY_NS,
+    )

@@ -89,7 +89,9 @@ class TouchSeen:
     def text(self) -> str:
         """The event that reports it; at the end of a contact, ``contact=0`` and no values."""
         end = "" if self.contact else " contact=0"
-        return f"TOUCH {self.seq} {self.t_ns}{end}" + "".join(f" {name}={_value_text(v)}" for name, v in self.values)
+        return f"TOUCH {self.seq} {self.t_ns}{end}" + "".join(
+            f" {name}={_value_text(v)}" for name, v in self.values
+        )
 
 
 # -- the arguments ----------------------------------------------------------------------------------------------------
@@ -106,7 +108,9 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
     if names and names[-1][0].isdigit():
         text = names.pop()
         if not text.isdigit() or not 1 <= int(text) <= RATE_MAX_HZ:
-            raise DecodeError(f"found the RATE {text[:16]}, expected a whole number of Hz from 1 to {RATE_MAX_HZ}")
+            raise DecodeError(
+                f"found the RATE {text[:16]}, expected a whole number of Hz from 1 to {RATE_MAX_HZ}"
+            )
         rate_hz = int(text)
     unknown = next((name for name in names if name not in QUANTITIES), None)
     if unknown is not None:
@@ -138,7 +142,10 @@ _VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a co
     "REFERENCE": _Verb(),
     "STITCH": _Verb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
     "TOUCH": _Verb(
-        f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}", 1, NAMES_MAX + 2, check=parse_touch
+        f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}",
+        1,
+        NAMES_MAX + 2,
+        check=parse_touch,
     ),
     "STATUS": _Verb(),
     "MODE": _Verb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
@@ -167,7 +174,9 @@ def parse_hello(line: Line) -> tuple[str, bool] | Reason:
     """The boot's ID, empty if ``HELLO`` names none, and whether it requires checksums, or why it is not valid."""
     version, *options = line.args or ("",)
     if version != str(PROTOCOL_VERSION):
-        return Reason(ReasonCode.OTHER_VERSION, f"found {version or 'none'}, expected {PROTOCOL_VERSION}")
+        return Reason(
+            ReasonCode.OTHER_VERSION, f"found {version or 'none'}, expected {PROTOCOL_VERSION}"
+        )
     boot, crc = "", "crc=opt"
     for option in options:
         if named := _BOOT.fullmatch(option):
@@ -201,11 +210,15 @@ def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str
     number = "-" if seq is None else str(seq)
     if isinstance(outcome, Reason):
         refused = verb == "REFERENCE" and outcome.code is not ReasonCode.NOT_CALIBRATED
-        return printable(f"ERR {number} {_OTHERWISE if refused else error_word(outcome.code)} {outcome.text}")
+        return printable(
+            f"ERR {number} {_OTHERWISE if refused else error_word(outcome.code)} {outcome.text}"
+        )
     if isinstance(outcome, ClockRead):
         outcome = f"{outcome.t2_ns} {outcome.t3_ns}"
     elif not isinstance(outcome, str):
-        outcome = " ".join(f"{name}={_figure_text(name, value)}" for name, value in outcome.figures().items())
+        outcome = " ".join(
+            f"{name}={_figure_text(name, value)}" for name, value in outcome.figures().items()
+        )
     return printable(f"OK {number} {outcome}")
 
 
@@ -246,7 +259,14 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
 def event_bytes_max(names: Sequence[str]) -> int:
     """The greatest length in bytes of an event of these quantities, with its checksum, in either mode."""
     ends, touches = (
-        len(seal("EVT " + TouchSeen(_SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)).text()))
+        len(
+            seal(
+                "EVT "
+                + TouchSeen(
+                    _SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)
+                ).text()
+            )
+        )
         for contact in (False, True)
     )
     return max(ends, touches + len(names) * (_VALUE_BYTES_MAX - 1)) + _BINARY_MORE

@@ -35,7 +35,9 @@ def cobs_encode(data: bytes) -> bytes:
             out.append(255)
             out += run[at : at + _BLOCK]
             at += _BLOCK
-        if at == 0 or at < len(run) or number < len(runs):  # a full block at the very end needs no further code
+        if (
+            at == 0 or at < len(run) or number < len(runs)
+        ):  # a full block at the very end needs no further code
             out.append(len(run) - at + 1)
             out += run[at:]
     return bytes(out)
@@ -50,7 +52,9 @@ def cobs_decode(data: bytes) -> bytes:
     while at < end:
         code = data[at]
         if at + code > end:
-            raise DecodeError(f"COBS: found {end - at - 1} bytes in the last block, expected {code - 1}")
+            raise DecodeError(
+                f"COBS: found {end - at - 1} bytes in the last block, expected {code - 1}"
+            )
         out += data[at + 1 : at + code]
         at += code
         if code != 255 and at < end:
@@ -139,7 +143,9 @@ class Framing:
     def _next_frame(self) -> Unit | None:
         while True:
             raw, zero, rest = self._buffer.partition(b"\0")
-            if b"HELLO 1" in raw and (hello := _HELLO.search(raw)) is not None:  # of a robot that restarted
+            if (
+                b"HELLO 1" in raw and (hello := _HELLO.search(raw)) is not None
+            ):  # of a robot that restarted
                 self._counts.discard(hello.start())
                 self._skipping = False
                 self._buffer = self._buffer[hello.end() :]

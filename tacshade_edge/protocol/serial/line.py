@@ -60,7 +60,10 @@ def parse_line(raw: bytes) -> Line | Reason:
     if not star:
         text = digits
     elif not re.fullmatch("[0-9A-Fa-f]{4}", digits):
-        return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits[:16]!r} after the star, expected four hex digits")
+        return Reason(
+            ReasonCode.BAD_CHECKSUM,
+            f"found {digits[:16]!r} after the star, expected four hex digits",
+        )
     elif int(digits, 16) != (crc := crc16(raw[: len(text)])):
         return Reason(ReasonCode.BAD_CHECKSUM, f"found {digits.upper()}, expected {crc:04X}")
     head = _HEAD.fullmatch(text.strip(" "))
@@ -71,5 +74,10 @@ def parse_line(raw: bytes) -> Line | Reason:
         )
     seq = head[1]
     if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):
-        return Reason(ReasonCode.BAD_SYNTAX, f"found #{seq[:16]}, expected # and a number from 0 to {SEQ_MODULO - 1}")
-    return Line(None if seq is None else int(seq), head[2].upper(), tuple(head[3].split()), text, bool(star))
+        return Reason(
+            ReasonCode.BAD_SYNTAX,
+            f"found #{seq[:16]}, expected # and a number from 0 to {SEQ_MODULO - 1}",
+        )
+    return Line(
+        None if seq is None else int(seq), head[2].upper(), tuple(head[3].split()), text, bool(star)
+    )

@@ -20,7 +20,13 @@ from tacshade_edge.protocol.serial.commands import (
     parse_command,
     parse_hello,
 )
-from tacshade_edge.protocol.serial.framing import Framing, LinkCounts, Mode, cobs_decode, cobs_encode
+from tacshade_edge.protocol.serial.framing import (
+    Framing,
+    LinkCounts,
+    Mode,
+    cobs_decode,
+    cobs_encode,
+)
 from tacshade_edge.protocol.serial.line import SEQ_MODULO, Line, crc16, parse_line, seal
 from tacshade_edge.protocol.serial.pose import PoseSample, PoseSequence, decode_pose, parse_pose
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -77,9 +83,13 @@ class ReplyCache:
         if known is not None:
             if known.text == text:
                 return known
-            return Reason(ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new number")
+            return Reason(
+                ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new number"
+            )
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
-        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:  # its reply may be gone: it may have been executed
+        if (
+            REPLIES_KEPT <= behind < SEQ_MODULO // 2
+        ):  # its reply may be gone: it may have been executed
             text = f"found an old line number, expected HELLO or a number above #{self._newest}"
             return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
@@ -134,7 +144,9 @@ class SerialLink:
         self._framing.feed(data)
         received: list[Received] = []
         while (unit := self._framing.next_unit()) is not None:
-            received += self._line(unit.raw, now_ns) if unit.is_line else self._frame(unit.raw, now_ns)
+            received += (
+                self._line(unit.raw, now_ns) if unit.is_line else self._frame(unit.raw, now_ns)
+            )
         return received
 
     def answer(self, command: Command, outcome: SerialResult | Reason) -> None:
@@ -242,7 +254,9 @@ class SerialLink:
             self._refuse(line.seq, hello)
             return
         boot, crc_required = hello
-        if not boot or boot != self._session.boot:  # otherwise a repeated HELLO: the numbers stay known
+        if (
+            not boot or boot != self._session.boot
+        ):  # otherwise a repeated HELLO: the numbers stay known
             self._session = _Session(boot, replies=ReplyCache(line.seq))
             self._poses = PoseSequence()
             yield Greeted(boot)
@@ -267,7 +281,9 @@ class SerialLink:
             text = answer_text(command.seq, mode)
             self._session.replies.keep(command, text)
             self._send(text)  # still in the old mode
-            self._framing.switch(mode)  # the bytes received after this line are in the new one already
+            self._framing.switch(
+                mode
+            )  # the bytes received after this line are in the new one already
         else:
             self.counts.commands += 1
             yield command

@@ -14,7 +14,9 @@ from tacshade_edge.protocol.serial.line import SEQ_MODULO, Line, crc16
 T_NS_MAX: Final = 2**63 - 1
 POSITION_MAX_MM: Final = 1e6
 UNIT_TOLERANCE: Final = 1e-2  # robots often send only four decimals
-POSES_BEHIND: Final = 64  # a pose up to this far behind is a repeat; an older number restarts the count
+POSES_BEHIND: Final = (
+    64  # a pose up to this far behind is a repeat; an older number restarts the count
+)
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,19}")
@@ -40,14 +42,18 @@ class PoseSample:
 def parse_time(text: str) -> int:
     """Parse a time in ns. Raises DecodeError."""
     if not _TIME.fullmatch(text) or int(text) > T_NS_MAX:
-        raise DecodeError(f"found {text!r}, expected a whole number of nanoseconds from 0 to 2^63-1")
+        raise DecodeError(
+            f"found {text!r}, expected a whole number of nanoseconds from 0 to 2^63-1"
+        )
     return int(text)
 
 
 def parse_pose(line: Line) -> PoseSample:
     """Parse the arguments of ``POSE``. Raises DecodeError."""
     if len(line.args) != 8:
-        raise DecodeError(f"found {len(line.args)} values, expected the 8 values t x y z qw qx qy qz")
+        raise DecodeError(
+            f"found {len(line.args)} values, expected the 8 values t x y z qw qx qy qz"
+        )
     t_ns = parse_time(line.args[0])
     wrong = next((text for text in line.args[1:] if not _NUMBER.fullmatch(text)), None)
     if wrong is not None:
@@ -64,7 +70,9 @@ def encode_pose(sample: PoseSample) -> bytes:
 def decode_pose(raw: bytes) -> PoseSample:
     """Decode a binary pose. Raises DecodeError."""
     if len(raw) != POSE_BYTES or raw[:1] != b"P":
-        raise DecodeError(f"found {len(raw)} bytes, expected {POSE_BYTES} bytes that start with the letter P")
+        raise DecodeError(
+            f"found {len(raw)} bytes, expected {POSE_BYTES} bytes that start with the letter P"
+        )
     if _CRC.unpack_from(raw, _POSE.size)[0] != crc16(raw[: _POSE.size]):
         raise DecodeError("found a wrong checksum in a binary pose")
     _, seq, t_ns, *values = _POSE.unpack_from(raw)
@@ -76,7 +84,9 @@ def decode_pose(raw: bytes) -> PoseSample:
 def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSample:
     x, y, z, w, i, j, k = values
     if not max(abs(x), abs(y), abs(z)) <= POSITION_MAX_MM:  # also rejects NaN
-        raise DecodeError(f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the origin")
+        raise DecodeError(
+            f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the origin"
+        )
     norm = math.sqrt(w * w + i * i + j * j + k * k)
     if not abs(norm - 1) <= UNIT_TOLERANCE:
         raise DecodeError(f"found a quaternion of length {norm:.4g}, expected length 1")

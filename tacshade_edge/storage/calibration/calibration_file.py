@@ -25,7 +25,16 @@ from tacshade_edge.rigid import from_seven
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.atomic_files import write_whole
 from tacshade_edge.storage.npz import Content, parts_of, record_of
-from tacshade_edge.types import QUANTITIES, TOUCH_ARRAYS, U8, Calibration, Fit, FittedNetwork, ProfileFit, TouchModel
+from tacshade_edge.types import (
+    QUANTITIES,
+    TOUCH_ARRAYS,
+    U8,
+    Calibration,
+    Fit,
+    FittedNetwork,
+    ProfileFit,
+    TouchModel,
+)
 
 _log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -45,7 +54,10 @@ def fit_figures(fit: Fit | None) -> dict[str, float]:
     """A fit under flat keys, as in the file and in the commands' JSON; a profile's keys begin with its name."""
     if fit is None:
         return {}
-    figures = {name: float(getattr(fit, name)) for name in ("presses", "agreement_mae_mm", "position_mae_mm")}
+    figures = {
+        name: float(getattr(fit, name))
+        for name in ("presses", "agreement_mae_mm", "position_mae_mm")
+    }
     for name, profile in fit.profiles.items():
         figures |= {f"{name}_{part}": float(getattr(profile, part)) for part in _PER_PROFILE}
     return figures
@@ -53,7 +65,9 @@ def fit_figures(fit: Fit | None) -> dict[str, float]:
 
 def _fit(figures: Any) -> Fit | None:
     """The fit that `fit_figures` flattened. Raises ValueError."""
-    given: dict[str, Any] = dict(msgspec.convert(figures, dict[str, Annotated[float, Meta(ge=0, le=1e6)]]))
+    given: dict[str, Any] = dict(
+        msgspec.convert(figures, dict[str, Annotated[float, Meta(ge=0, le=1e6)]])
+    )
     if not given:
         return None
     suffix = "_depth_mae_mm"
@@ -61,14 +75,18 @@ def _fit(figures: Any) -> Fit | None:
     try:
         for key in ("presses", *(f"{name}_presses" for name in names)):
             given[key] = int(given[key])
-        profiles = {name: ProfileFit(*(given[f"{name}_{part}"] for part in _PER_PROFILE)) for name in names}
+        profiles = {
+            name: ProfileFit(*(given[f"{name}_{part}"] for part in _PER_PROFILE)) for name in names
+        }
         return Fit(given["presses"], given["agreement_mae_mm"], given["position_mae_mm"], profiles)
     except KeyError as error:
         raise ValueError(f"fit: found no {error}") from None
 
 
 def _content(calibration: Calibration) -> Content:
-    meta, arrays = parts_of(replace(calibration, fit=None, fitted={}, touch={}, crc32=0), kept=_ALWAYS)
+    meta, arrays = parts_of(
+        replace(calibration, fit=None, fitted={}, touch={}, crc32=0), kept=_ALWAYS
+    )
     del meta["image_height_px"], meta["image_width_px"]  # as the images'
     meta |= {"version": VERSION, "fit": fit_figures(calibration.fit)}
     for name, fitted in calibration.fitted.items():
@@ -79,7 +97,9 @@ def _content(calibration: Calibration) -> Content:
         about["shapes"] = {key: list(part.shape) for key, part in parts.items()}
         meta.setdefault("touch", {})[name] = about
         components = parts.pop("components").astype(np.float16)
-        arrays[f"touch_{name}"] = np.concatenate([part.ravel() for part in parts.values()], dtype=np.float32)
+        arrays[f"touch_{name}"] = np.concatenate(
+            [part.ravel() for part in parts.values()], dtype=np.float32
+        )
         arrays[f"touch_{name}_components"] = components
     return Content(meta, arrays)
 
@@ -89,7 +109,9 @@ def with_crc(calibration: Calibration) -> Calibration:
     return replace(calibration, crc32=_content(calibration).crc32)
 
 
-def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None) -> Calibration:
+def save(
+    path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None
+) -> Calibration:
     """Write a calibration whole, and its source images (the log says if they are too large) for `inputs_in`; return it
     with its `crc32`. Raises DeviceError.
     """
@@ -99,11 +121,16 @@ def save(path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs 
         if kept := pack_inputs(inputs):
             content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
         else:
-            _log.warning("%s: the calibration's images are too large to store; calibrate again after each update", path)
+            _log.warning(
+                "%s: the calibration's images are too large to store; calibrate again after each update",
+                path,
+            )
     try:
         write_whole(Path(path), content.packed())
     except OSError as error:
-        raise DeviceError(f"{path}: cannot write the calibration: {error.strerror or error}") from None
+        raise DeviceError(
+            f"{path}: cannot write the calibration: {error.strerror or error}"
+        ) from None
     return stored
 
 
@@ -150,11 +177,16 @@ def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
     if missing := [name for name in _ALWAYS if name not in meta]:
         raise ValueError(f"found no {missing[0]}")
     if version != VERSION and meta["factors"]:
-        _log.warning("%s: ignoring the calibration's fit, which belongs to older networks; calibrate again", path)
+        _log.warning(
+            "%s: ignoring the calibration's fit, which belongs to older networks; calibrate again",
+            path,
+        )
         meta |= {"factors": {}, "fit": {}, "error_scales": {}}
     shapes = {array.shape for name, array in arrays.items() if name in REFERENCE_ARRAYS}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape:
-        raise ValueError(f"found other arrays, expected images of one size in {', '.join(REFERENCE_ARRAYS)}")
+        raise ValueError(
+            f"found other arrays, expected images of one size in {', '.join(REFERENCE_ARRAYS)}"
+        )
     known = {
         **{name: array for name, array in arrays.items() if name in REFERENCE_ARRAYS},
         **{"image_height_px": shape[0], "image_width_px": shape[1]},
@@ -183,11 +215,15 @@ def _touch(content: Content) -> dict[str, TouchModel]:
         shapes = msgspec.convert(about.pop("shapes", None), dict[str, _Shape])
         if set(shapes) | {"metric", "origin"} != set(TOUCH_ARRAYS):
             raise ValueError("touch model: found other arrays than expected")
-        own = np.eye(shapes["components"][-1], dtype=np.float32)  # of a model learnt before there was one
+        own = np.eye(
+            shapes["components"][-1], dtype=np.float32
+        )  # of a model learnt before there was one
         about = {"origin": 0 * own[0], "metric": own, "gate_part": 1.0} | about
         others = [key for key in TOUCH_ARRAYS if key != "components" and key in shapes]
         sizes = [math.prod(shapes[key]) for key in others]
-        numbers, components = (content.arrays.get(f"touch_{name}{end}", np.zeros(0)) for end in ("", "_components"))
+        numbers, components = (
+            content.arrays.get(f"touch_{name}{end}", np.zeros(0)) for end in ("", "_components")
+        )
         stored = (numbers, np.float32, [sum(sizes)]), (components, np.float16, shapes["components"])
         if any(array.dtype != kind or list(array.shape) != shape for array, kind, shape in stored):
             raise ValueError("touch model: expected arrays as large as they are said to be")
@@ -237,17 +273,22 @@ def pack_inputs(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
     files = [[cv2.imencode(".png", image)[1].tobytes() for image in group] for group in groups]
     if sum(len(file) for group in files for file in group) > INPUT_BYTES_MAX:
         return None
-    indenters = list({id(p.indenter): p.indenter for p in inputs.presses if p.indenter is not None}.values())
+    indenters = list(
+        {id(p.indenter): p.indenter for p in inputs.presses if p.indenter is not None}.values()
+    )
     places = {id(indenter): k for k, indenter in enumerate(indenters)}
     lengths = [[len(file) for file in group] for group in files]
     meta = {
         "sensor": asdict(inputs.sensor),
         **dict(zip(("references", "renewed", "pressed"), lengths, strict=True)),
         "presses": [
-            parts_of(replace(press, indenter=None), kept=_OF_PRESSES)[0] | {"indenter": places.get(id(press.indenter))}
+            parts_of(replace(press, indenter=None), kept=_OF_PRESSES)[0]
+            | {"indenter": places.get(id(press.indenter))}
             for press in inputs.presses
         ],
-        "indenters": [{"name": each.name, "triangles": len(each.triangles_mm)} for each in indenters],
+        "indenters": [
+            {"name": each.name, "triangles": len(each.triangles_mm)} for each in indenters
+        ],
     }
     triangles = [each.triangles_mm for each in indenters] or [np.zeros((0, 3, 3))]
     images = np.frombuffer(b"".join(file for group in files for file in group), np.uint8)
@@ -259,7 +300,10 @@ def unpack_inputs(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Inputs 
     if "inputs" not in meta:
         return None
     try:
-        return _inputs(msgspec.convert(meta["inputs"], _Inputs), *(arrays[name] for name in (*INPUT_ARRAYS, _SIZED)))
+        return _inputs(
+            msgspec.convert(meta["inputs"], _Inputs),
+            *(arrays[name] for name in (*INPUT_ARRAYS, _SIZED)),
+        )
     except (ValueError, KeyError) as error:
         raise ValueError(f"cannot read the stored images: {error}") from None
 
@@ -278,7 +322,9 @@ def _inputs(known: _Inputs, files: Any, solids: Any, reference: Any) -> Inputs:
     lengths = [*known.references, *known.renewed, *known.pressed]
     images = [_grey(part, reference.shape) for part in _parts(files, lengths)]
     triangles = _parts(solids, [each.triangles for each in known.indenters])
-    indenters = [Indenter(each.name, part) for each, part in zip(known.indenters, triangles, strict=True)]
+    indenters = [
+        Indenter(each.name, part) for each, part in zip(known.indenters, triangles, strict=True)
+    ]
     first, second = len(known.references), len(known.references) + len(known.renewed)
     presses = []
     for press, image in zip(known.presses, images[second:], strict=True):
@@ -286,14 +332,21 @@ def _inputs(known: _Inputs, files: Any, solids: Any, reference: Any) -> Inputs:
         if number is not None and not 0 <= number < len(indenters):
             raise ValueError("expected an indenter for each press")
         indenter = None if number is None else indenters[number]
-        presses.append(replace(record_of(KnownPress, {**press, "image": image, "indenter": None}), indenter=indenter))
+        presses.append(
+            replace(
+                record_of(KnownPress, {**press, "image": image, "indenter": None}),
+                indenter=indenter,
+            )
+        )
     return Inputs(known.sensor, tuple(images[:first]), tuple(presses), tuple(images[first:second]))
 
 
 def _parts(array: Any, lengths: Sequence[int]) -> Iterator[Any]:
     if min(lengths, default=0) < 0 or sum(lengths) != len(array):
         raise ValueError("expected parts as long as they are said to be")
-    return (array[end - length : end] for length, end in zip(lengths, accumulate(lengths), strict=True))
+    return (
+        array[end - length : end] for length, end in zip(lengths, accumulate(lengths), strict=True)
+    )
 
 
 def _grey(file: U8, shape: tuple[int, int]) -> U8:

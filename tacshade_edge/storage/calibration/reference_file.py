@@ -70,12 +70,17 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
             raise ValueError("found images of another size than the calibration's")
         calibration = replace(calibrated, noise_grey=file.noise_grey, **images)
     except ValueError as error:
-        raise ConfigError(f"{path}: not a reference file: {shown(error)}; take a new reference") from None
+        raise ConfigError(
+            f"{path}: not a reference file: {shown(error)}; take a new reference"
+        ) from None
     return StoredReference(with_crc(calibration), file.wall_ns)
 
 
 def belongs_to(calibrated: Calibration) -> int:
     """CRC-32 of the values that a new reference replaces or uses; recalibration after an update keeps it."""
     disc = calibrated.geometry.disc
-    meta = {"disc": [disc.row_c, disc.col_c, disc.radius_px], "binarisation": calibrated.binarisation}
+    meta = {
+        "disc": [disc.row_c, disc.col_c, disc.radius_px],
+        "binarisation": calibrated.binarisation,
+    }
     return Content(meta, {name: getattr(calibrated, name) for name in REFERENCE_ARRAYS}).crc32

@@ -40,7 +40,9 @@ def new_path(path: Path) -> Iterator[Path]:
     ConfigError if the name exists, and DeviceError if the disk is nearly full or cannot be written.
     """
     if path.exists():
-        raise ConfigError(f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN)
+        raise ConfigError(
+            f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
+        )
     partial = part(path)
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -67,7 +69,9 @@ def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str
     """The fields of ``contact`` (docs/reference/mqtt/frames.md) without ``fps``, which only a daemon knows."""
     numbers: dict[str, Any] = json.loads(encode_contact(result, fps=0.0))
     del numbers["fps"]
-    numbers["wall_ns"] = recorded.wall_ns  # a recording's results have none, so that equal recordings give equal bytes
+    numbers["wall_ns"] = (
+        recorded.wall_ns
+    )  # a recording's results have none, so that equal recordings give equal bytes
     return numbers
 
 
@@ -88,7 +92,9 @@ def csv_export(path: Path, touch_names: Sequence[str]) -> Iterator[Add]:
         yield add
 
 
-def _frame_numbers(recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]) -> dict[str, Any]:
+def _frame_numbers(
+    recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]
+) -> dict[str, Any]:
     """A table row: image, times, the numbers of contact and touch, ``base_T_flange``; None for a missing value."""
     touch, frame = touch_fields(result.touch), recorded.frame
     return {
@@ -130,7 +136,9 @@ def write_hand_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandOb
         writer.writerow(("t_ns", "wall_ns", "seq", *_MOTION, *of_fingers))
         for rows, message in enumerate(messages, 1):  # noqa: B007
             motion = [None] * len(_MOTION) if message.motion is None else _motion(message.motion)
-            values = (value for name in fingers for value in _finger(message.fingers[name]).values())
+            values = (
+                value for name in fingers for value in _finger(message.fingers[name]).values()
+            )
             writer.writerow((message.t_ns, message.wall_ns, message.seq, *motion, *values))
     return rows
 

@@ -28,14 +28,23 @@ from tacshade_edge.version import installed_version
 
 @contextlib.contextmanager
 def mcap_export(
-    path: Path, *, sensor_id: str, calibration: Calibration, profile: str, content: Mapping[str, bytes]
+    path: Path,
+    *,
+    sensor_id: str,
+    calibration: Calibration,
+    profile: str,
+    content: Mapping[str, bytes],
 ) -> Iterator[Add]:
     """Frames and results; the recording's other files (`content`) become attachments, and the events also log lines."""
     events = list(events_in(dict(content)))
     wall_minus_t_ns: int | None = None
     with new_path(path) as partial, partial.open("wb") as stream:
         writer = McapWriter(stream, sensor_id)
-        about = {"version": installed_version(), "profile": profile, "calibration_crc32": str(calibration.crc32)}
+        about = {
+            "version": installed_version(),
+            "profile": profile,
+            "calibration_crc32": str(calibration.crc32),
+        }
         writer.describe("tacshade", about | {"sensor_id": sensor_id})
         for name, data in content.items():
             writer.attach(name, data, 0)
@@ -53,7 +62,9 @@ def mcap_export(
             is_first, wall_minus_t_ns = wall_minus_t_ns is None, wall_ns - frame.t_ns
             log(frame.t_ns)
             if is_first:
-                mounted = transform_message(calibration.flange_T_sensor, "flange", "sensor", sensor_id, wall_ns)
+                mounted = transform_message(
+                    calibration.flange_T_sensor, "flange", "sensor", sensor_id, wall_ns
+                )
                 writer.write("tf", mounted, wall_ns)
             writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
             results = {

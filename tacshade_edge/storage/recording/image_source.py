@@ -54,7 +54,9 @@ class FilesSource:
         self._size = self._size or (height, width)
         if self._size != (height, width):
             expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
-            raise DecodeError(f"{self._path}: {row.image}: found {width}x{height} px, expected {expected}")
+            raise DecodeError(
+                f"{self._path}: {row.image}: found {width}x{height} px, expected {expected}"
+            )
         pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
         return Frame(seq, t_ns, wall_ns, image, pose, row.pose_error_us)
 

@@ -16,10 +16,22 @@ import cv2
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.atomic_files import disk_errors, is_nearly_full, part, require_free, sync, write_whole
+from tacshade_edge.storage.atomic_files import (
+    disk_errors,
+    is_nearly_full,
+    part,
+    require_free,
+    sync,
+    write_whole,
+)
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.recording.mcap import require_mcap
-from tacshade_edge.storage.recording.recording_content import ABOUT_NAME, CALIBRATION_NAME, EVENTS_NAME, SETTINGS_NAME
+from tacshade_edge.storage.recording.recording_content import (
+    ABOUT_NAME,
+    CALIBRATION_NAME,
+    EVENTS_NAME,
+    SETTINGS_NAME,
+)
 from tacshade_edge.storage.tables.frame_table import HEADER, MORE, TABLE_NAME, line_crc32
 from tacshade_edge.types import U8, Calibration, Frame
 
@@ -63,7 +75,8 @@ class Recorder:
                 folder.mkdir()
             except FileExistsError:
                 raise ConfigError(
-                    f"{folder}: already exists, expected the name of a new folder", code=ReasonCode.NAME_TAKEN
+                    f"{folder}: already exists, expected the name of a new folder",
+                    code=ReasonCode.NAME_TAKEN,
                 ) from None
 
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:
@@ -72,7 +85,9 @@ class Recorder:
         with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
             self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
-            fcntl.flock(self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the recording is whole
+            fcntl.flock(
+                self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB
+            )  # until the recording is whole
             self._begin_frames()
             sync(self.folder)
 

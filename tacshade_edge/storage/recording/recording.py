@@ -64,7 +64,9 @@ class Recording:
     None if unknown before the end.
     """
 
-    def __init__(self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True) -> None:
+    def __init__(
+        self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True
+    ) -> None:
         self._path = path
         self._period_ns = 1e9 / (fps or DEFAULT_FPS)
         self._mcap = mcap_frames(path) if is_mcap(path) else None
@@ -72,7 +74,9 @@ class Recording:
         self._rows: FrameTable | None = None
         self.cut_off, self.damage, self.images = False, "", 0
         if fps is not None and (stated := path if self._mcap else self._table) is not None:
-            raise ConfigError(f"--fps: found {fps:g}, expected no value, because {stated} contains the time stamps")
+            raise ConfigError(
+                f"--fps: found {fps:g}, expected no value, because {stated} contains the time stamps"
+            )
         if self._mcap is not None:
             self.cut_off, self.damage = self._mcap.cut_off, self._mcap.damage
         elif self._table is not None:
@@ -131,7 +135,9 @@ class Recording:
             pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
             yield replace(row, t_ns=t_ns, pose=pose), picture, wall_ns + self._shift_ns
         self._shift_ns += (
-            last_ns - first_ns + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
+            last_ns
+            - first_ns
+            + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
         )
 
     def _items(self) -> Iterator[tuple[Row, Picture, int]]:
@@ -143,7 +149,9 @@ class Recording:
 
     def _files(self) -> Iterator[tuple[Row, Picture]]:
         if self._rows is not None and self._path.is_dir():
-            yield from ((row, partial(read_image, named_file(self._path, row.image))) for row in self._rows)
+            yield from (
+                (row, partial(read_image, named_file(self._path, row.image))) for row in self._rows
+            )
             return
         images, video = look_at(self._path)
         for index, image in enumerate(images):
@@ -156,7 +164,9 @@ class Recording:
             index += 1
         video.release()
         if self._rows is not None and index < len(self._rows):
-            raise ConfigError(f"{self._table}: found {len(self._rows)} rows, expected {index}, one per video frame")
+            raise ConfigError(
+                f"{self._table}: found {len(self._rows)} rows, expected {index}, one per video frame"
+            )
 
     def _video_row(self, index: int) -> Row:
         if self._rows is None:
@@ -164,7 +174,9 @@ class Recording:
         row: Row | None = self._rows[index] if index < len(self._rows) else None
         if row is None or row.image != str(index):
             found = f"row {index + 1} is not that of frame {index}"
-            raise ConfigError(f"{self._table}: {found}, expected one row per video frame, with frames numbered from 0")
+            raise ConfigError(
+                f"{self._table}: {found}, expected one row per video frame, with frames numbered from 0"
+            )
         return row
 
 
@@ -173,17 +185,27 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
     if path.is_dir():
         return images_in([path]), None
     if not path.is_file():
-        raise ConfigError(f"{path}: found nothing, expected a folder of images, an image or a video file")
+        raise ConfigError(
+            f"{path}: found nothing, expected a folder of images, an image or a video file"
+        )
     if path.suffix.lower() in SUFFIXES:
         return [path], None
     os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    width, height = (
+        int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
     if video.isOpened() and (max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX):
-        raise ConfigError(f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side")
+        raise ConfigError(
+            f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side"
+        )
     if not video.isOpened() or not video.grab():
-        raise ConfigError(f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images")
-    return [], cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)  # winding back finds no frame in a video of one
+        raise ConfigError(
+            f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images"
+        )
+    return [], cv2.VideoCapture(
+        str(path), cv2.CAP_FFMPEG
+    )  # winding back finds no frame in a video of one
 
 
 def _table_beside(path: Path, *, video_table: bool) -> Path | None:

@@ -24,7 +24,12 @@ T = TypeVar("T")
 
 CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
 ABOUT_NAME: Final = "recording.json"
-_BYTES_MAX: Final = {CALIBRATION_NAME: 64 << 20, SETTINGS_NAME: 1 << 20, EVENTS_NAME: 8 << 20, ABOUT_NAME: 1 << 20}
+_BYTES_MAX: Final = {
+    CALIBRATION_NAME: 64 << 20,
+    SETTINGS_NAME: 1 << 20,
+    EVENTS_NAME: 8 << 20,
+    ABOUT_NAME: 1 << 20,
+}
 _LINE_BYTES_MAX: Final = 1 << 16
 
 
@@ -60,7 +65,9 @@ def content_of(recording: Path) -> dict[str, bytes]:
         return attached
     found = {name: data for name in _BYTES_MAX if (data := _read(recording / name)) is not None}
     unfinished = _read(part(recording / EVENTS_NAME))
-    return found if EVENTS_NAME in found or unfinished is None else found | {EVENTS_NAME: unfinished}
+    return (
+        found if EVENTS_NAME in found or unfinished is None else found | {EVENTS_NAME: unfinished}
+    )
 
 
 def events_in(content: dict[str, bytes]) -> Iterator[Event]:

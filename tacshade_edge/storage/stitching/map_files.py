@@ -36,7 +36,10 @@ def press_record(press: PlacedPress) -> dict[str, Any]:
 
 
 def write_map(
-    folder: Path, raster: Raster, details: Mapping[str, Any], more: Mapping[str, bytes] = MappingProxyType({})
+    folder: Path,
+    raster: Raster,
+    details: Mapping[str, Any],
+    more: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
     """Write all files of a map, so that files beside a ``map.json`` (with the additional keys `details`) are of one
     map, also after a kill. Raises DeviceError.
@@ -56,7 +59,9 @@ def write_map(
     png = cv2.imencode(".png", levels)[1].tobytes()
     del levels  # 30 MB for a large map
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm)
+    np.savez_compressed(
+        buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm
+    )
     files: dict[str, bytes | Iterable[bytes]] = {
         "map.npz": buffer.getvalue(),
         "map.ply": _points(raster),
@@ -92,7 +97,9 @@ def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
 FLANGE = "flange.json"
 
 
-def write_flange(folder: Path, found: FoundFlange, *, delay_seen: bool, presses: int, frames: int) -> None:
+def write_flange(
+    folder: Path, found: FoundFlange, *, delay_seen: bool, presses: int, frames: int
+) -> None:
     """Write ``flange.json`` whole; values of an unobserved delay are null. Raises DeviceError."""
     covariance = found.covariance.copy()
     if not delay_seen:

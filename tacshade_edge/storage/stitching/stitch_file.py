@@ -118,12 +118,16 @@ class StitchFile:
     def append(self, points: PressPoints, base_T_sensor: Rigid) -> None:
         """Append a press; it is on the disk when this returns."""
         pose = np.concatenate((base_T_sensor.rotation.ravel(), base_T_sensor.translation_mm))
-        columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype("<f4")
+        columns = np.column_stack((points.points_mm, points.normals, points.confidence)).astype(
+            "<f4"
+        )
         body = pose.astype("<f8").tobytes() + columns.tobytes()
         record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
         with disk_errors(self.folder):
             if self.gone:  # the stream may still be open on an unlinked file
-                raise DeviceError(f"{self.folder}: the session's files are gone", code=ReasonCode.DISK)
+                raise DeviceError(
+                    f"{self.folder}: the session's files are gone", code=ReasonCode.DISK
+                )
             require_free(self.folder)
             if self._stream is None:
                 self._stream = (self.folder / PRESSES).open("r+b", buffering=0)
@@ -132,7 +136,9 @@ class StitchFile:
             self._stream.truncate()
             written = self._stream.write(record)
             if written < len(record):  # a partial write; the next one would report a full disk
-                raise DeviceError(f"{self.folder}: cannot write it: the disk is full", code=ReasonCode.DISK_FULL)
+                raise DeviceError(
+                    f"{self.folder}: cannot write it: the disk is full", code=ReasonCode.DISK_FULL
+                )
             os.fsync(self._stream.fileno())
         self._before, self._end = self._end, self._end + len(record)
 
@@ -190,7 +196,9 @@ def read_info(folder: Path) -> SessionInfo:
     try:
         info = msgspec.json.decode(read_regular(path, _INFO_BYTES_MAX), type=SessionInfo)
     except OSError as error:
-        raise DecodeError(f"{path}: {error.strerror or error}, expected a stitching session") from None
+        raise DecodeError(
+            f"{path}: {error.strerror or error}, expected a stitching session"
+        ) from None
     except (ValueError, RecursionError) as error:  # msgspec raises ValueErrors
         raise DecodeError(f"{path}: {shown(str(error))}, expected a stitching session") from None
     if not 1 <= info.version <= VERSION:
@@ -208,7 +216,10 @@ def _crc32(info: SessionInfo) -> int:
 
 def _json(info: SessionInfo) -> bytes:
     info = msgspec.structs.replace(info, version=VERSION)
-    return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(info, crc32=_crc32(info)))) + b"\n"
+    return (
+        msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(info, crc32=_crc32(info))))
+        + b"\n"
+    )
 
 
 def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int, int]]:
@@ -224,7 +235,9 @@ def _presses(data: bytes | mmap.mmap) -> Iterator[tuple[PressPoints, Rigid, int,
         start = data.find(_MAGIC, start + 1 if press is None else body + size)
 
 
-def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[PressPoints, Rigid] | None:
+def _press(
+    data: bytes | mmap.mmap, start: int, end: int, crc32: int
+) -> tuple[PressPoints, Rigid] | None:
     """The press in a body; None if the body is damaged or its values cannot be a press."""
     rest = end - start - 8 * _POSE_VALUES
     if not 0 <= rest <= 4 * _POINT_VALUES * _PRESS_POINTS_MAX or rest % (4 * _POINT_VALUES):
@@ -233,8 +246,14 @@ def _press(data: bytes | mmap.mmap, start: int, end: int, crc32: int) -> tuple[P
     if zlib.crc32(body) != crc32:
         return None
     pose = np.frombuffer(body, "<f8", _POSE_VALUES).astype(np.float64)
-    columns = np.frombuffer(body, "<f4", offset=8 * _POSE_VALUES).reshape(-1, _POINT_VALUES).astype(np.float32)
+    columns = (
+        np.frombuffer(body, "<f4", offset=8 * _POSE_VALUES)
+        .reshape(-1, _POINT_VALUES)
+        .astype(np.float32)
+    )
     if not (np.abs(pose) <= _MOST_MM).all() or not (np.abs(columns) <= _MOST_MM).all():
         return None
-    parts = (np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6]))
+    parts = (
+        np.ascontiguousarray(part) for part in (columns[:, :3], columns[:, 3:6], columns[:, 6])
+    )
     return PressPoints(*parts), Rigid(pose[:9].reshape(3, 3), pose[9:])

@@ -73,7 +73,9 @@ class CaptureFolder:
         taken = []
         for where, row in rows:
             if not (self.path / row["image"]).is_file():
-                raise ConfigError(f"{where}: image: found no file {row['image']}, expected one in the table's folder")
+                raise ConfigError(
+                    f"{where}: image: found no file {row['image']}, expected one in the table's folder"
+                )
             taken.append(TakenPress(row["image"], Stated(stated_columns(row))))
         return taken
 

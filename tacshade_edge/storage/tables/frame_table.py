@@ -23,7 +23,9 @@ HEADER = ("image", "t_ns", *_POSE)
 ERROR_COLUMN, CRC_COLUMN = "pose_error_us", "crc32"
 MORE = (ERROR_COLUMN, CRC_COLUMN)  # optional: older tables have neither, or only the first
 TABLE_NAME = "frames.csv"
-T_NS_MAX = 2**62  # a looped recording continues from its last time, and the wire format holds 64 bits
+T_NS_MAX = (
+    2**62
+)  # a looped recording continues from its last time, and the wire format holds 64 bits
 ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s
 UNIT_TOLERANCE = 1e-3
 ERROR_US_MAX = 2**32 - 1  # as in the wire format
@@ -66,7 +68,11 @@ class FrameTable(Sequence[Row]):
     def __getitem__(self, index: Any) -> Any:
         """One row, or a list of rows for a slice."""
         lines = self._lines[index]
-        return _row("", _cells("", lines)) if isinstance(lines, bytes) else [_row("", _cells("", x)) for x in lines]
+        return (
+            _row("", _cells("", lines))
+            if isinstance(lines, bytes)
+            else [_row("", _cells("", x)) for x in lines]
+        )
 
 
 def table_in(folder: Path) -> Path | None:
@@ -105,17 +111,23 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                         raise ConfigError(f"{where}: {found}, expected {','.join(_HEADERS[-1])}")
                     continue
                 if len(cells) != len(header):
-                    raise ConfigError(f"{where}: found {len(cells)} columns, expected {len(header)}")
+                    raise ConfigError(
+                        f"{where}: found {len(cells)} columns, expected {len(header)}"
+                    )
                 if (row := _row(where, cells)).t_ns <= last_ns:
                     raise ConfigError(
                         f"{where}: t_ns: found {row.t_ns}, expected more than the previous row's {last_ns}"
                     )
                 if len(rows) == ROWS_MAX:
-                    raise ConfigError(f"{where}: found more than {ROWS_MAX} rows, expected at most {ROWS_MAX}")
+                    raise ConfigError(
+                        f"{where}: found more than {ROWS_MAX} rows, expected at most {ROWS_MAX}"
+                    )
                 rows.append(line)
                 last_ns = row.t_ns
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a CSV file of frames") from None
+        raise ConfigError(
+            f"{shown(path)}: {error.strerror or error}, expected a CSV file of frames"
+        ) from None
     if not rows:
         damage = f" ({rows.damage})" if rows.damage else ""
         raise ConfigError(f"{path}: found no rows, expected one per frame{damage}")
@@ -134,9 +146,13 @@ def _row(where: str, cells: list[str]) -> Row:
     name, time, *pose = cells[: len(HEADER)]
     error = "".join(cells[len(HEADER) : len(HEADER) + 1])
     if not name:
-        raise ConfigError(f"{where}: image: found nothing, expected a file name or the number of a video frame")
+        raise ConfigError(
+            f"{where}: image: found nothing, expected a file name or the number of a video frame"
+        )
     if not _whole(time, T_NS_MAX):
-        raise ConfigError(f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62")
+        raise ConfigError(
+            f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62"
+        )
     empty = [text == "" for text in pose]
     if error and (all(empty) or not _whole(error, ERROR_US_MAX)):
         expected = "a whole number from 0 to 2^32 - 1 in a row with a pose, or nothing"
@@ -144,8 +160,12 @@ def _row(where: str, cells: list[str]) -> Row:
     if all(empty):
         return Row(name, int(time), None)
     if any(empty):
-        raise ConfigError(f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7 values, expected all or none")
-    return Row(name, int(time), Pose(int(time), *_seven(where, pose, UNIT_TOLERANCE)), int(error or "0"))
+        raise ConfigError(
+            f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7 values, expected all or none"
+        )
+    return Row(
+        name, int(time), Pose(int(time), *_seven(where, pose, UNIT_TOLERANCE)), int(error or "0")
+    )
 
 
 def _whole(text: str, most: int) -> bool:
@@ -156,7 +176,9 @@ def _seven(where: str, cells: Sequence[str], tolerance: float) -> list[float]:
     """A pose's values. Raises ConfigError."""
     values = [number(where, column, text) for column, text in zip(_POSE, cells, strict=True)]
     if abs((norm := math.hypot(*values[3:])) - 1) > tolerance:
-        raise ConfigError(f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
+        raise ConfigError(
+            f"{where}: qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1"
+        )
     return values
 
 
@@ -178,7 +200,9 @@ def read_poses(path: Path) -> list[PosedImage]:
     """Read the table but not its images, whose paths are relative to it. Raises ConfigError for a mistake or no row."""
     rows, unknown = read_columns(path, POSES_HEADER, (), "poses", rows_max=POSES_MAX)
     if unknown:
-        raise ConfigError(f"{path}:1: {unknown[0]}: found an unknown column, expected {','.join(POSES_HEADER)}")
+        raise ConfigError(
+            f"{path}:1: {unknown[0]}: found an unknown column, expected {','.join(POSES_HEADER)}"
+        )
     if not rows:
         raise ConfigError(f"{path}: found no rows, expected one per image")
     posed = []

@@ -49,16 +49,22 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
     file = strict_yaml.read(path)
     found = file.found
     if not isinstance(file.value, dict):
-        raise ConfigError(f"{path}:{found[()].line}: found {found[()].text}, expected indenter names")
+        raise ConfigError(
+            f"{path}:{found[()].line}: found {found[()].text}, expected indenter names"
+        )
     entries = {}
     for name in file.value:
         where = f"{path}:{found[name,].line}"
         if name == "ball":
-            raise ConfigError(f"{where}: ball: found an entry, expected none, because this name is built in")
+            raise ConfigError(
+                f"{where}: ball: found an entry, expected none, because this name is built in"
+            )
         entry = convert(file, IndenterEntry, at=(name,))
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:
-                raise ConfigError(f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}")
+                raise ConfigError(
+                    f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}"
+                )
         entries[name] = where, entry
     return entries
 
@@ -69,7 +75,9 @@ _LEAST_MM, _MOST_MM = 0.5, 500.0
 
 def read_indenters(path: Path) -> dict[str, Indenter | float]:
     """Read the file and its meshes: name to indenter, or to a ball's radius in mm. Raises ConfigError."""
-    return {name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()}
+    return {
+        name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()
+    }
 
 
 def write_printables(folder: Path) -> list[Path]:
@@ -79,7 +87,9 @@ def write_printables(folder: Path) -> list[Path]:
     table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
     for path in (table, plan):
         if path.exists():
-            raise ConfigError(f"{path}: already exists; this command does not replace existing files")
+            raise ConfigError(
+                f"{path}: already exists; this command does not replace existing files"
+            )
     written = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -87,7 +97,9 @@ def write_printables(folder: Path) -> list[Path]:
             written.append(folder / f"{each.name}.stl")
             write_whole(written[-1], stl_bytes(each.triangles_mm))
         entries = {each.name: dict(each.entry) for each in printables()}
-        write_whole(table, yaml.safe_dump(entries, sort_keys=False, default_flow_style=None).encode())
+        write_whole(
+            table, yaml.safe_dump(entries, sort_keys=False, default_flow_style=None).encode()
+        )
         rows = (f",{p.name},,{p.depth_mm},{p.x_mm},{p.y_mm}\n" for p in planned_presses())
         write_whole(plan, "".join((",".join(HEADER) + "\n", *rows)).encode())
     return [*written, table, plan]
@@ -111,5 +123,7 @@ def _mesh(path: Path, name: str, where: str) -> Indenter:
     size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
     if not _LEAST_MM <= size_mm <= _MOST_MM:
         expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm, because tacshade-edge reads lengths in STL files as mm"
-        raise ConfigError(f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g} mm, {expected}")
+        raise ConfigError(
+            f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g} mm, {expected}"
+        )
     return shapes.mesh(name, triangles_mm)

@@ -38,13 +38,19 @@ def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
     labelled = []
     for where, cells in rows:
         if not (name := cells["image"]):
-            raise ConfigError(f"{where}: image: found nothing, expected the name of a file in {folder}")
-        known = {column: number(where, column, cells[column]) for column in QUANTITIES if cells[column]}
+            raise ConfigError(
+                f"{where}: image: found nothing, expected the name of a file in {folder}"
+            )
+        known = {
+            column: number(where, column, cells[column]) for column in QUANTITIES if cells[column]
+        }
         labelled.append(LabelledImage(named_file(folder, name), known, where, cells["group"]))
     if not labelled:
         raise ConfigError(f"{path}: found no rows, expected one per image")
     if not any(row.known for row in labelled):
-        raise ConfigError(f"{path}:1: found no quantity, expected at least one of {', '.join(QUANTITIES)}")
+        raise ConfigError(
+            f"{path}:1: found no quantity, expected at least one of {', '.join(QUANTITIES)}"
+        )
     return labelled
 
 
@@ -66,7 +72,9 @@ class LabelFolder:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._number = max((number_in(one.name, "label") for one in path.glob("label_*.png")), default=0)
+        self._number = max(
+            (number_in(one.name, "label") for one in path.glob("label_*.png")), default=0
+        )
 
     @property
     def table(self) -> Path:
@@ -82,8 +90,13 @@ class LabelFolder:
         for one in labelled:
             if not (one.path.is_file() and one.path.resolve().is_relative_to(folder)):
                 expected = "expected a file in the table's folder"
-                raise ConfigError(f"{one.where}: image: found no file {shown(one.path)} in it, {expected}")
-        return [LabelRow(str(one.path.resolve().relative_to(folder)), one.known, one.group) for one in labelled]
+                raise ConfigError(
+                    f"{one.where}: image: found no file {shown(one.path)} in it, {expected}"
+                )
+        return [
+            LabelRow(str(one.path.resolve().relative_to(folder)), one.known, one.group)
+            for one in labelled
+        ]
 
     def add_image(self, image: U8) -> str:
         """Write an image and return its name."""
@@ -96,7 +109,10 @@ class LabelFolder:
     def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
         """Write the table, or delete it if it has no labels, then delete the images of removed rows."""
         columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
-        cells = [[f"{row.known[name]:.4f}" if name in row.known else "" for name in columns] for row in rows]
+        cells = [
+            [f"{row.known[name]:.4f}" if name in row.known else "" for name in columns]
+            for row in rows
+        ]
         table = [(row.image, *known, row.group) for row, known in zip(rows, cells, strict=True)]
         with disk_errors(self._path):
             if columns:

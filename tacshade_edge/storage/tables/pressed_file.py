@@ -44,7 +44,8 @@ class PressedFile:
 def _press(where: str, row: dict[str, str]) -> Press:
     indenter, radius_mm = row["indenter"], row["radius_mm"]
     depth_mm, x_mm, y_mm, yaw_deg = (
-        number(where, key, row[key] or "0" * (key == "yaw_deg")) for key in ("depth_mm", "x_mm", "y_mm", "yaw_deg")
+        number(where, key, row[key] or "0" * (key == "yaw_deg"))
+        for key in ("depth_mm", "x_mm", "y_mm", "yaw_deg")
     )
     if indenter == "ball":
         shape = ball(number(where, "radius_mm", radius_mm))

@@ -83,7 +83,9 @@ def stated_columns(row: Mapping[str, str]) -> tuple[str, ...]:
     return (*(row[name] for name in HEADER[1:]), *(more if any(more) else ()))
 
 
-def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float) -> Stated:
+def stated(
+    where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float
+) -> Stated:
     """Check a press's ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none; `names`
     are indenters in addition to the ball. Raises ConfigError.
     """
@@ -91,9 +93,13 @@ def stated(where: str, columns: Sequence[str], names: Collection[str], skin_radi
     row, skin = press.row(), f"the skin's radius of {skin_radius_mm:g} mm"
     values = _checked(where, row, names)
     if row["indenter"] == BALL and not values["radius_mm"] > 0:
-        raise ConfigError(f"{where}: radius_mm: found {row['radius_mm']}, expected a number above 0")
+        raise ConfigError(
+            f"{where}: radius_mm: found {row['radius_mm']}, expected a number above 0"
+        )
     if not 0 < values["depth_mm"] < skin_radius_mm:
-        raise ConfigError(f"{where}: depth_mm: found {row['depth_mm']}, expected a number above 0 and below {skin}")
+        raise ConfigError(
+            f"{where}: depth_mm: found {row['depth_mm']}, expected a number above 0 and below {skin}"
+        )
     if row["x_mm"] and not values["x_mm"] ** 2 + values["y_mm"] ** 2 < skin_radius_mm**2:
         found = f"found {row['x_mm']}, {row['y_mm']} mm"
         raise ConfigError(f"{where}: x_mm, y_mm: {found}, expected a place within {skin}")
@@ -110,7 +116,9 @@ def _checked(where: str, row: Mapping[str, str], names: Collection[str]) -> dict
         )
     if name != BALL and row["radius_mm"]:
         found = f"found {quoted(row['radius_mm'])}"
-        raise ConfigError(f"{where}: radius_mm: {found}, expected nothing, because INDENTERS.yaml states the radius")
+        raise ConfigError(
+            f"{where}: radius_mm: {found}, expected nothing, because INDENTERS.yaml states the radius"
+        )
     if (row["x_mm"] == "") != (row["y_mm"] == ""):
         raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
     needed = ("depth_mm", *["radius_mm"] * (name == BALL))
@@ -119,11 +127,15 @@ def _checked(where: str, row: Mapping[str, str], names: Collection[str]) -> dict
     for column, most in _MOST_DEG.items():
         if abs(values.get(column, 0.0)) > most:
             found = f"found {quoted(row[column])}"
-            raise ConfigError(f"{where}: {column}: {found}, expected a number from -{most:g} to {most:g}")
+            raise ConfigError(
+                f"{where}: {column}: {found}, expected a number from -{most:g} to {most:g}"
+            )
     return values
 
 
-def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+def _press(
+    path: Path, where: str, row: dict[str, str], indenters: Mapping[str, Indenter | float]
+) -> KnownPress:
     try:
         image = read_image(named_file(path.parent, row["image"]))
     except DecodeError as error:
@@ -131,7 +143,9 @@ def _press(path: Path, where: str, row: dict[str, str], indenters: Mapping[str, 
     return known_press(where, image, row, indenters)
 
 
-def known_press(where: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]) -> KnownPress:
+def known_press(
+    where: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]
+) -> KnownPress:
     """The press of a row and its image. Raises ConfigError (``WHERE: column: found …, expected …``)."""
     values = _checked(where, row, indenters)
     indenter = indenters.get(row["indenter"], values.get("radius_mm", 0.0))

@@ -23,14 +23,21 @@ _ROW_CHARS_MAX: Final = 1 << 16
 _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
 _NUMBER: Final = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
-_TEXTS: Final = frozenset({"image", "indenter", "group"})  # columns whose commas are no decimal signs
+_TEXTS: Final = frozenset(
+    {"image", "indenter", "group"}
+)  # columns whose commas are no decimal signs
 
 Rows = list[tuple[str, dict[str, str]]]
 """Each row's ``FILE:LINE`` and its cells by column, with decimal points; "" where an optional column is missing."""
 
 
 def read_columns(
-    path: Path, required: tuple[str, ...], optional: tuple[str, ...], what: str, *, rows_max: int = ROWS_MAX
+    path: Path,
+    required: tuple[str, ...],
+    optional: tuple[str, ...],
+    what: str,
+    *,
+    rows_max: int = ROWS_MAX,
 ) -> tuple[Rows, tuple[str, ...]]:
     """Read a table as a spreadsheet writes it; returns the rows and the names of unknown columns.
 
@@ -44,7 +51,11 @@ def read_columns(
     if stated := _SEPARATOR.fullmatch(first):
         text = "\n" + text[len(first) :]
     names = {each: {name.strip('" \t\r\n') for name in first.split(each)} for each in ",;\t"}
-    delimiter = stated[1] if stated else max(names, key=lambda each: len(names[each].intersection(required)))
+    delimiter = (
+        stated[1]
+        if stated
+        else max(names, key=lambda each: len(names[each].intersection(required)))
+    )
     taken = 0
 
     def bounded() -> Iterator[str]:
@@ -86,7 +97,10 @@ def read_columns(
             raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
         found_cells = dict.fromkeys(known, "") | dict(zip(header, cells, strict=False))
         if delimiter != ",":
-            found_cells = {key: cell if key in _TEXTS else cell.replace(",", ".") for key, cell in found_cells.items()}
+            found_cells = {
+                key: cell if key in _TEXTS else cell.replace(",", ".")
+                for key, cell in found_cells.items()
+            }
         rows.append((f"{path}:{line}", found_cells))
     return rows, tuple(name for name in header if name not in known)
 
@@ -98,7 +112,9 @@ def number(where: str, column: str, text: str) -> float:
     value = float(text)
     if abs(value) > NUMBER_MAX:
         most = f"{NUMBER_MAX:g}"
-        raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number from -{most} to {most}")
+        raise ConfigError(
+            f"{where}: {column}: found {quoted(text)}, expected a number from -{most} to {most}"
+        )
     return value
 
 
@@ -113,8 +129,12 @@ def _text(path: Path, what: str, bytes_max: int) -> str:
     try:
         data = read_regular(path, bytes_max)
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected a CSV file of {what}") from None
+        raise ConfigError(
+            f"{shown(path)}: {error.strerror or error}, expected a CSV file of {what}"
+        ) from None
     try:
-        return data.decode("utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig")
+        return data.decode(
+            "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+        )
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not a CSV file: {error}") from None

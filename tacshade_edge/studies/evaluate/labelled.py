@@ -44,7 +44,9 @@ class Agreement:
     quantity: str
     frames: int  # for a pair of axes, those that its map was not fitted on
     rank_correlation: float  # Spearman's; for a pair, the mean of both axes
-    error: float  # mean absolute error of a line (for a pair, a linear map) fitted on the other half
+    error: (
+        float  # mean absolute error of a line (for a pair, a linear map) fitted on the other half
+    )
 
 
 def found_row(image: str, result: Reconstruction) -> FoundRow:
@@ -91,9 +93,17 @@ COUNTS: dict[str, Callable[[Sequence[FoundRow]], str]] = {
 
 def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> str:
     """Tables for people: how many frames were refused, and how well the rest agree."""
-    counts = summary(("profile",), [((name,), some) for name, some in grouped(rows, "profile").items()], COUNTS)
+    counts = summary(
+        ("profile",), [((name,), some) for name, some in grouped(rows, "profile").items()], COUNTS
+    )
     figures = [
-        (profile, e.quantity, str(e.frames), f"{e.rank_correlation:.2f}", f"{e.error:.2f} {_UNIT[e.quantity]}")
+        (
+            profile,
+            e.quantity,
+            str(e.frames),
+            f"{e.rank_correlation:.2f}",
+            f"{e.error:.2f} {_UNIT[e.quantity]}",
+        )
         for profile, some in made.items()
         for e in some
     ]
@@ -134,8 +144,12 @@ def spearman(one: F64, other: F64) -> float:
     return float(a @ b) / scale if scale > 0 else math.nan
 
 
-def document(rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> dict[str, object]:
+def document(
+    rows: Sequence[FoundRow], made: Mapping[str, Sequence[Agreement]]
+) -> dict[str, object]:
     """The rows and agreements for JSON."""
     agreements = {name: [asdict(each) for each in some] for name, some in made.items()}
-    found: dict[str, object] = without_nan({"frames": [asdict(row) for row in rows], "agreements": agreements})
+    found: dict[str, object] = without_nan(
+        {"frames": [asdict(row) for row in rows], "agreements": agreements}
+    )
     return found

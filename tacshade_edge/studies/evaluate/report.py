@@ -26,7 +26,11 @@ TABLE_I = {
 """The paper's ME in mm and SD in %, measured on a real sensor."""
 PAPER_ROW = "Table I (real sensor)"
 PACKAGES = ("tacshade-edge", "numpy", "opencv-contrib-python-headless", "onnxruntime", "scipy")
-MEASURES = {"ME mm": ("me_mm", ".3f"), "SD %": ("sd_pct", ".1f"), "depth off %": ("depth_error_pct", ".0f")}
+MEASURES = {
+    "ME mm": ("me_mm", ".3f"),
+    "SD %": ("sd_pct", ".1f"),
+    "depth off %": ("depth_error_pct", ".0f"),
+}
 """Columns of a table: an attribute of `Figures`, and its format."""
 
 
@@ -66,7 +70,9 @@ def figures(rows: Iterable[Row]) -> Figures:
         presses=len(some),
         missed=sum(missed),
         me_mm=_mean(r.true_depth_mm if m else r.me_mm for r, m in zip(some, missed, strict=True)),
-        backward_mm=_mean(r.true_depth_mm if m else r.backward_mm for r, m in zip(some, missed, strict=True)),
+        backward_mm=_mean(
+            r.true_depth_mm if m else r.backward_mm for r, m in zip(some, missed, strict=True)
+        ),
         sd_pct=_mean(r.sd_pct for r in some),
         sd_sum_pct=_mean(r.sd_sum_pct for r in some),
         iou=_mean(r.iou for r in some if not math.isnan(r.iou)),
@@ -95,7 +101,9 @@ def table(rows: Sequence[Row]) -> str:
     families = tables.grouped(rows, lambda row: family_of(row.sensor))
     if len(families) < 2:
         return _family_table(rows)
-    return "\n\n".join(f"Family {family}\n\n{_family_table(some)}" for family, some in families.items())
+    return "\n\n".join(
+        f"Family {family}\n\n{_family_table(some)}" for family, some in families.items()
+    )
 
 
 def _family_table(rows: Sequence[Row]) -> str:
@@ -108,7 +116,13 @@ def _family_table(rows: Sequence[Row]) -> str:
     parts = [_objects_table(title, profiles, names) for title, names in blocks if names]
     nothing = {profile: null_figures(some) for profile, some in profiles.items()}
     lines = [
-        [profile, str(of.frames), str(of.phantoms), f"{of.deepest_mm:.2f}", str(sum(not r.valid for r in some))]
+        [
+            profile,
+            str(of.frames),
+            str(of.phantoms),
+            f"{of.deepest_mm:.2f}",
+            str(sum(not r.valid for r in some)),
+        ]
         for (profile, some), of in zip(profiles.items(), nothing.values(), strict=True)
     ]
     header = ["method", "frames without contact", "phantoms", "deepest mm", "refused"]
@@ -118,7 +132,10 @@ def _family_table(rows: Sequence[Row]) -> str:
 def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Sequence[str]) -> str:
     paper = {name: TABLE_I[name] for name in names if name in TABLE_I}
     if len(paper) == len(names) > 1:
-        paper["mean"] = (_mean(me for me, _ in paper.values()), _mean(sd for _, sd in paper.values()))
+        paper["mean"] = (
+            _mean(me for me, _ in paper.values()),
+            _mean(sd for _, sd in paper.values()),
+        )
     lines = []
     for name in (*names, *(["mean"] if len(names) > 1 else [])):
         if name in paper:
@@ -126,7 +143,9 @@ def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Seq
             lines.append([name, PAPER_ROW, f"{me_mm:.3f}", f"{sd_pct:.1f}", "", ""])
         for profile, rows in profiles.items():
             found = figures(r for r in rows if r.object in (names if name == "mean" else (name,)))
-            measured = (tables.number(getattr(found, measure), spec) for measure, spec in MEASURES.values())
+            measured = (
+                tables.number(getattr(found, measure), spec) for measure, spec in MEASURES.values()
+            )
             lines.append([name, profile, *measured, f"{found.missed}/{found.presses}"])
     return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES, "missed"], lines)
 
@@ -140,7 +159,9 @@ def document(rows: Sequence[Row], settings: Mapping[str, Any]) -> dict[str, Any]
                 name: asdict(figures(of))
                 for name, of in tables.grouped((r for r in some if r.true_points), "object").items()
             },
-            "sensors": {name: asdict(figures(of)) for name, of in tables.grouped(some, "sensor").items()},
+            "sensors": {
+                name: asdict(figures(of)) for name, of in tables.grouped(some, "sensor").items()
+            },
             "without_contact": asdict(null_figures(some)),
         }
         for profile, some in tables.grouped(rows, "profile").items()

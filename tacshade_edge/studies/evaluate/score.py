@@ -40,7 +40,12 @@ def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudSc
         return CloudScore(math.nan, 0.0, 0.0, math.nan)
     forward = float(cKDTree(true_points_mm).query(points_mm)[0].mean())
     backward = float(cKDTree(points_mm).query(true_points_mm)[0].mean())
-    return CloudScore(forward, 1 - (forward + backward) / 2 / h_max_mm, 1 - (forward + backward) / h_max_mm, backward)
+    return CloudScore(
+        forward,
+        1 - (forward + backward) / 2 / h_max_mm,
+        1 - (forward + backward) / h_max_mm,
+        backward,
+    )
 
 
 def contact_iou(found: Bool, true: Bool) -> float:
@@ -81,9 +86,15 @@ class KnownTruth:
             return None
         at, inside = [], []
         for origin, count, mine, size in zip(
-            (height.row0, height.col0), height.contact.shape, (self.row0, self.col0), values.shape[:2], strict=True
+            (height.row0, height.col0),
+            height.contact.shape,
+            (self.row0, self.col0),
+            values.shape[:2],
+            strict=True,
         ):
-            index = np.rint((origin + height.step_px * np.arange(count) - mine) / self.step_px).astype(int)
+            index = np.rint(
+                (origin + height.step_px * np.arange(count) - mine) / self.step_px
+            ).astype(int)
             at.append(np.clip(index, 0, size - 1))
             inside.append((index >= 0) & (index < size))
         taken = values[np.ix_(*at)]
@@ -104,13 +115,20 @@ def between_pixels(points_mm: F32, contact: Bool) -> F32:
     """
     at = np.full((*contact.shape, 3), np.nan, np.float32)
     at[contact] = points_mm
-    pairs = [(at[:, :-1], at[:, 1:]), (at[:-1], at[1:]), (at[:-1, :-1], at[1:, 1:]), (at[1:, :-1], at[:-1, 1:])]
+    pairs = [
+        (at[:, :-1], at[:, 1:]),
+        (at[:-1], at[1:]),
+        (at[:-1, :-1], at[1:, 1:]),
+        (at[1:, :-1], at[:-1, 1:]),
+    ]
     apart = [np.linalg.norm(one - other, axis=-1) for one, other in pairs]
     beside = apart[0][np.isfinite(apart[0])]
     if not beside.size:
         return points_mm
     near = 3 * np.median(beside)
-    middles = [((one + other) / 2)[far < near] for (one, other), far in zip(pairs, apart, strict=True)]
+    middles = [
+        ((one + other) / 2)[far < near] for (one, other), far in zip(pairs, apart, strict=True)
+    ]
     return np.concatenate((points_mm, *middles)).astype(np.float32)
 
 
@@ -120,7 +138,9 @@ class Label:
 
     sensor: str
     object: str
-    image: str = ""  # the user's image; for a simulated frame without contact, the change made to it
+    image: str = (
+        ""  # the user's image; for a simulated frame without contact, the change made to it
+    )
     depth_mm: float = math.nan  # the stated press
     x_mm: float = math.nan
     y_mm: float = math.nan
@@ -163,7 +183,11 @@ class Row:
 def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
     """Compare a reconstruction with its frame's ground truth."""
     touched, nan = len(truth.points_mm) > 0 and truth.depth_max_mm > 0, math.nan
-    cloud = score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm) if touched else None
+    cloud = (
+        score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm)
+        if touched
+        else None
+    )
     contact = truth.contact_on(result.height)
     return Row(
         profile=result.profile,
@@ -189,10 +213,15 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
 
 EXPECTED = "points_mm, or height_mm and contact"
 _BYTES_MAX = 256 << 20
-_DEPTH_MIN_MM, _DEPTH_PART_MAX = 0.02, 0.8  # less is no contact; a part of the skin's radius, as a file may be in m
+_DEPTH_MIN_MM, _DEPTH_PART_MAX = (
+    0.02,
+    0.8,
+)  # less is no contact; a part of the skin's radius, as a file may be in m
 
 
-def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -> tuple[KnownTruth, str]:
+def read_truth(
+    path: Path, image_size_px: tuple[int, int], geometry: Geometry
+) -> tuple[KnownTruth, str]:
     """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the object's name:
     ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all (docs/reference/calibration-checks.md).
 
@@ -206,10 +235,15 @@ def read_truth(path: Path, image_size_px: tuple[int, int], geometry: Geometry) -
         raise DecodeError(f"{path}: {error}") from None
 
 
-def _truth(content: Mapping[str, Any], image_size_px: tuple[int, int], geometry: Geometry) -> KnownTruth:
+def _truth(
+    content: Mapping[str, Any], image_size_px: tuple[int, int], geometry: Geometry
+) -> KnownTruth:
     contact = numbers(content, "contact", 2).astype(bool) if "contact" in content else None
     height = numbers(content, "height_mm", 2, nan=True) if "height_mm" in content else None
-    row0, col0, step = (_number(content, key, default) for key, default in (("row0", 0), ("col0", 0), ("step_px", 1)))
+    row0, col0, step = (
+        _number(content, key, default)
+        for key, default in (("row0", 0), ("col0", 0), ("step_px", 1))
+    )
     if step <= 0:
         raise DecodeError(f"step_px: found {step}, expected a number above 0")
     for name, grid in (("contact", contact), ("height_mm", height)):
@@ -218,18 +252,38 @@ def _truth(content: Mapping[str, Any], image_size_px: tuple[int, int], geometry:
     if "points_mm" in content:
         points = numbers(content, "points_mm", 2)
         if points.shape[1] != 3:
-            raise DecodeError(f"points_mm: found numbers of shape {points.shape}, expected the shape (N, 3)")
+            raise DecodeError(
+                f"points_mm: found numbers of shape {points.shape}, expected the shape (N, 3)"
+            )
     elif height is not None and contact is not None:
         if height.shape != contact.shape or not np.isfinite(height[contact]).all():
-            raise DecodeError("height_mm: found NaN inside the contact or other cells, expected a height in mm")
+            raise DecodeError(
+                "height_mm: found NaN inside the contact or other cells, expected a height in mm"
+            )
         rays = disc_rays(Grid(height.shape[0], height.shape[1], row0, col0, step), geometry)
-        points = between_pixels(skin_points(height.astype(np.float32), rays, geometry)[contact], contact)
+        points = between_pixels(
+            skin_points(height.astype(np.float32), rays, geometry)[contact], contact
+        )
     else:
-        raise DecodeError(f"found the keys {shown(', '.join(sorted(content)) or 'none')}; expected {EXPECTED}")
-    deepest = geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min()) if len(points) else 0.0
-    depth_max = _number(content, "depth_max_mm", deepest if height is None else float(np.nanmax(height, initial=0.0)))
+        raise DecodeError(
+            f"found the keys {shown(', '.join(sorted(content)) or 'none')}; expected {EXPECTED}"
+        )
+    deepest = (
+        geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min())
+        if len(points)
+        else 0.0
+    )
+    depth_max = _number(
+        content,
+        "depth_max_mm",
+        deepest if height is None else float(np.nanmax(height, initial=0.0)),
+    )
     most = _DEPTH_PART_MAX * geometry.skin_radius_mm
-    wrong = [depth for depth in (depth_max, max(depth_max, deepest)) if not _DEPTH_MIN_MM <= depth <= most]
+    wrong = [
+        depth
+        for depth in (depth_max, max(depth_max, deepest))
+        if not _DEPTH_MIN_MM <= depth <= most
+    ]
     if len(points) and wrong:
         expected = f"expected a depth from {_DEPTH_MIN_MM:g} to {most:g} mm"
         raise DecodeError(f"found a contact whose greatest depth is {wrong[0]:.3g} mm, {expected}")
@@ -237,15 +291,21 @@ def _truth(content: Mapping[str, Any], image_size_px: tuple[int, int], geometry:
     if shear is not None:
         _check_covers("shear_mm", shear.shape[:2], (row0, col0, step), image_size_px)
         if shear.shape[2] != 2:
-            raise DecodeError(f"shear_mm: found numbers of shape {shear.shape}, expected the shape (rows, cols, 2)")
-    return KnownTruth(points.astype(np.float32), depth_max, contact, row0, col0, step, height, shear)
+            raise DecodeError(
+                f"shear_mm: found numbers of shape {shear.shape}, expected the shape (rows, cols, 2)"
+            )
+    return KnownTruth(
+        points.astype(np.float32), depth_max, contact, row0, col0, step, height, shear
+    )
 
 
 def _content(path: Path) -> dict[str, Any]:
     try:
         return read_arrays(path, _BYTES_MAX, kinds="biufU")
     except FileNotFoundError:
-        raise DecodeError(f"{path}: found no such file, expected the image's ground truth: {EXPECTED}") from None
+        raise DecodeError(
+            f"{path}: found no such file, expected the image's ground truth: {EXPECTED}"
+        ) from None
     except OSError as error:
         raise DecodeError(f"{path}: {error.strerror or error}, expected {EXPECTED}") from None
     except DecodeError as error:
@@ -257,7 +317,10 @@ def _number(content: Mapping[str, Any], key: str, default: float) -> float:
 
 
 def _check_covers(
-    key: str, shape: tuple[int, ...], grid: tuple[float, float, float], image_size_px: tuple[int, int]
+    key: str,
+    shape: tuple[int, ...],
+    grid: tuple[float, float, float],
+    image_size_px: tuple[int, int],
 ) -> None:
     """Raise DecodeError for a map that leaves a margin of a step or more of the image uncovered."""
     step = grid[2]

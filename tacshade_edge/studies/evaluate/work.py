@@ -70,7 +70,9 @@ class SensorName:
         family, colon, seed = text.strip().rpartition(":")
         family = family if colon else "tacshade"
         if family not in FAMILIES:
-            raise ValueError(f"no sensor family is called {family!r}, expected one of {', '.join(FAMILIES)}")
+            raise ValueError(
+                f"no sensor family is called {family!r}, expected one of {', '.join(FAMILIES)}"
+            )
         if seed == "default":
             return cls(family, None)
         if not (seed.isascii() and seed.isdigit() and len(seed) < 10):
@@ -96,7 +98,9 @@ def family_of(sensor: str) -> str:
     return sensor.rpartition(":")[0] or "tacshade"
 
 
-def _in_family(family: str, seed: int | None, make: Callable[[int | None], PressedSensor]) -> SensorName:
+def _in_family(
+    family: str, seed: int | None, make: Callable[[int | None], PressedSensor]
+) -> SensorName:
     FAMILIES.setdefault(family, make)
     return SensorName(family, seed)
 
@@ -112,13 +116,24 @@ def calibrated(name: SensorName, references: int, presses: int) -> CalibrationRe
         raise ConfigError(f"sensor {name}: {error}") from None
 
 
-def calibrated_sensor(sensor: PressedSensor, seed: int, references: int, presses: int) -> CalibrationResult:
+def calibrated_sensor(
+    sensor: PressedSensor, seed: int, references: int, presses: int
+) -> CalibrationResult:
     """Calibrate a sensor without a name; its presses are drawn from the seed. Raises ConfigError."""
     model = sensor.model
-    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    stated = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]
     pressed = [
-        KnownPress(f"press {k}", sensor.frame((p,), PRESS_NOISE + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}",
+            sensor.frame((p,), PRESS_NOISE + k).image,
+            radius,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
         for k, (p, radius) in enumerate(ball_presses(model, presses, seed))
     ]
     return calibrate(stated, unloaded, pressed, networks=load_networks())
@@ -170,7 +185,9 @@ def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, flo
     for low, high in RINGS:
         rho, angle = model.skin_radius_mm * rng.uniform(low, high), rng.uniform(0, 2 * math.pi)
         turn = rng.uniform(0, 360)
-        drawn.append((round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3), round(turn, 1)))
+        drawn.append(
+            (round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3), round(turn, 1))
+        )
     return drawn
 
 
@@ -205,7 +222,15 @@ def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]
     """Yield a picture of each scene with its ground truth."""
     for scene in scenes:
         press, frame = scene.press, sensor.frame((scene.press,), scene.noise_seed)
-        label = Label(str(name), scene.object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg)
+        label = Label(
+            str(name),
+            scene.object_name,
+            "",
+            press.depth_mm,
+            press.x_mm,
+            press.y_mm,
+            press.rotation_deg,
+        )
         yield Case(label, KnownTruth.of(frame.truth()), frame.image)
 
 
@@ -241,10 +266,14 @@ def evaluate(
     """
     found = calibrate_sensors(sensors, references, presses, workers, report)
     tasks = [
-        (name, made.calibration, what) for name, made in zip(sensors, found, strict=True) for what in (*objects, None)
+        (name, made.calibration, what)
+        for name, made in zip(sensors, found, strict=True)
+        for what in (*objects, None)
     ]
     job = partial(_rows, tuple(profiles), depths_mm, null_frames)
-    return list(chain.from_iterable(reported_map(job, tasks, workers, report, "objects pressed"))), found
+    return list(
+        chain.from_iterable(reported_map(job, tasks, workers, report, "objects pressed"))
+    ), found
 
 
 def _rows(
@@ -264,14 +293,24 @@ def _rows(
     return score_cases(calibration, profiles, cases)
 
 
-def score_cases(calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]) -> list[Row]:
+def score_cases(
+    calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
+) -> list[Row]:
     """Score images one after another in this process."""
     made = [reconstructor(calibration, profile) for profile in profiles]
-    return [score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image))) for case in cases for each in made]
+    return [
+        score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image)))
+        for case in cases
+        for each in made
+    ]
 
 
 def read_images(
-    calibration: Calibration, sensor: str, images: Sequence[Path], report: Report, mistake: Callable[[str], None]
+    calibration: Calibration,
+    sensor: str,
+    images: Sequence[Path],
+    report: Report,
+    mistake: Callable[[str], None],
 ) -> Iterator[Case]:
     """Yield images with their ground truth; report an unusable one to `mistake` in one line and continue."""
     size = (calibration.image_height_px, calibration.image_width_px)
@@ -280,11 +319,19 @@ def read_images(
         try:
             image = read_image(path)
             if image.shape[:2] != size:
-                found, expected = (f"{width}x{height} px" for height, width in (image.shape[:2], size))
-                raise DecodeError(f"{path}: found {found}, expected {expected}, the size of the calibration's images")
+                found, expected = (
+                    f"{width}x{height} px" for height, width in (image.shape[:2], size)
+                )
+                raise DecodeError(
+                    f"{path}: found {found}, expected {expected}, the size of the calibration's images"
+                )
             truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
         except DecodeError as error:
             mistake(str(error))
             continue
-        yield Case(Label(sensor, name if len(truth.points_mm) else "none", encodable(path.name)), truth, image)
+        yield Case(
+            Label(sensor, name if len(truth.points_mm) else "none", encodable(path.name)),
+            truth,
+            image,
+        )
     report("images", len(images), len(images))

@@ -9,7 +9,13 @@ import numpy as np
 
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.core.stitching.flange import ContactFrame
-from tacshade_edge.core.stitching.press_points import GAP_MAX_NS, NO_POINTS, PressPoints, RestDetector, press_points
+from tacshade_edge.core.stitching.press_points import (
+    GAP_MAX_NS,
+    NO_POINTS,
+    PressPoints,
+    RestDetector,
+    press_points,
+)
 from tacshade_edge.core.stitching.refinement import correction, thin_points
 from tacshade_edge.core.stitching.stitcher import Stitcher
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -39,7 +45,10 @@ class Press:
 
 
 def read_presses(
-    calibration: Calibration, profile: Profile, posed: Sequence[PosedImage], report: Callable[[str, int, int], None]
+    calibration: Calibration,
+    profile: Profile,
+    posed: Sequence[PosedImage],
+    report: Callable[[str, int, int], None],
 ) -> list[Press]:
     """Reconstruct the press of every image."""
     reconstructor = make_reconstructor(calibration, profile)
@@ -52,17 +61,30 @@ def read_presses(
         try:
             image = read_image(one.path)
         except DecodeError as error:
-            presses.append(Press(one.path.name, one.where, base_T_sensor, NO_POINTS, error.reason, failed=True))
+            presses.append(
+                Press(one.path.name, one.where, base_T_sensor, NO_POINTS, error.reason, failed=True)
+            )
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
         skipped = result.reason or (None if len(points.points_mm) else _NO_CONTACT)
-        presses.append(Press(one.path.name, one.where, base_T_sensor, points, skipped, failed=image.shape[:2] != size))
+        presses.append(
+            Press(
+                one.path.name,
+                one.where,
+                base_T_sensor,
+                points,
+                skipped,
+                failed=image.shape[:2] != size,
+            )
+        )
     report("presses", len(posed), len(posed))
     return presses
 
 
-def read_recording(calibration: Calibration, profile: Profile, recording: Recording, where: str) -> list[Press]:
+def read_recording(
+    calibration: Calibration, profile: Profile, recording: Recording, where: str
+) -> list[Press]:
     """Reconstruct every frame; each contact that comes to rest is a press, as in the daemon.
 
     Unusable frames are passed over; a contact that comes to rest without a pose gives a skipped press.
@@ -88,7 +110,9 @@ def read_recording(calibration: Calibration, profile: Profile, recording: Record
         else:
             points = press_points(result.height, calibration.geometry)
             skipped = None if len(points.points_mm) else _NO_CONTACT
-            presses.append(Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, points, skipped))
+            presses.append(
+                Press(recorded.name, where, of_pose(frame.pose) @ flange_T_sensor, points, skipped)
+            )
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
@@ -128,7 +152,12 @@ def frames_of_presses(presses: Sequence[Press], flange_T_sensor: Rigid) -> list[
     used = [press for press in presses if not press.skipped]
     used = used[:: -(-len(used) // PRESSES_MAX) or 1]
     return [
-        ContactFrame(thin_points(press.points), k, 0, (Pose(0, *(press.base_T_sensor @ sensor_T_flange).seven()),))
+        ContactFrame(
+            thin_points(press.points),
+            k,
+            0,
+            (Pose(0, *(press.base_T_sensor @ sensor_T_flange).seven()),),
+        )
         for k, press in enumerate(used)
     ]
 
@@ -196,7 +225,11 @@ def _chosen(contacts: Sequence[_Contact], track: Sequence[Pose]) -> list[Contact
     for press, number in enumerate(numbers):
         own = [contact for contact in contacts if contact.number == number]
         moving = [contact for contact in own if not contact.rests]
-        even = np.unique(np.linspace(0, len(moving) - 1, _MOVING_MAX + 2).round().astype(int)[1:-1]) if moving else ()
+        even = (
+            np.unique(np.linspace(0, len(moving) - 1, _MOVING_MAX + 2).round().astype(int)[1:-1])
+            if moving
+            else ()
+        )
         for contact in [*(contact for contact in own if contact.rests), *(moving[k] for k in even)]:
             pose = track[contact.at]
             around = (pose,) if contact.rests else _around(track, contact.at)
@@ -215,4 +248,7 @@ def _around(track: Sequence[Pose], at: int) -> tuple[Pose, ...]:
 
 
 def _near(pose: Pose, neighbour: Pose, middle: Pose) -> bool:
-    return 0 < abs(pose.t_ns - neighbour.t_ns) <= GAP_MAX_NS and abs(pose.t_ns - middle.t_ns) <= _TRACK_NS
+    return (
+        0 < abs(pose.t_ns - neighbour.t_ns) <= GAP_MAX_NS
+        and abs(pose.t_ns - middle.t_ns) <= _TRACK_NS
+    )

@@ -37,7 +37,10 @@ class Score:
 
     def as_json(self) -> dict[str, Any]:
         """The score for JSON, rounded to 0.1 µm."""
-        return {key: round(value, 4) if math.isfinite(value) else None for key, value in asdict(self).items()}
+        return {
+            key: round(value, 4) if math.isfinite(value) else None
+            for key, value in asdict(self).items()
+        }
 
 
 def read_known(path: Path) -> Raster:
@@ -48,11 +51,15 @@ def read_known(path: Path) -> Raster:
         z = numbers(npz, "z_mm", 2, nan=True)
         if z.size > _CELLS_MAX or not np.isfinite(z).any() or step < _STEP_MIN_MM:
             found = f"z_mm of shape {z.shape} at steps of {step:g} mm"
-            expected = f"heights in at most {_CELLS_MAX} cells, and a step of at least {_STEP_MIN_MM:g} mm"
+            expected = (
+                f"heights in at most {_CELLS_MAX} cells, and a step of at least {_STEP_MIN_MM:g} mm"
+            )
             raise DecodeError(f"found {found}, expected {expected}")
         return Raster(z.astype(np.float32), x0, y0, step)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}, expected a known surface (.npz)") from None
+        raise ConfigError(
+            f"{path}: {error.strerror or error}, expected a known surface (.npz)"
+        ) from None
     except (DecodeError, KeyError) as error:
         raise ConfigError(
             f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
@@ -65,7 +72,9 @@ def score(found: Raster, known: Raster) -> Score:
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
     if not both.any():
-        raise ConfigError("the known surface and the map share no cell; are the poses in the surface's frame?")
+        raise ConfigError(
+            "the known surface and the map share no cell; are the poses in the surface's frame?"
+        )
     error = found.z_mm[both].astype(np.float64) - true[both]
     low, high = float(np.nanmin(known.z_mm)), float(np.nanmax(known.z_mm))
     half = (low + high) / 2
@@ -93,7 +102,9 @@ def at_cells_of(values: Raster, places: Raster) -> F32:
         (places.y0_mm, values.y0_mm, rows, values.z_mm.shape[0]),
         (places.x0_mm, values.x0_mm, cols, values.z_mm.shape[1]),
     ):
-        index = np.rint((first + np.arange(count) * places.step_mm - own) / values.step_mm).astype(np.int64)
+        index = np.rint((first + np.arange(count) * places.step_mm - own) / values.step_mm).astype(
+            np.int64
+        )
         indices.append(np.where((index < 0) | (index >= size), size, index))
     padded = np.pad(values.z_mm, ((0, 1), (0, 1)), constant_values=np.nan)
     return np.asarray(padded[np.ix_(*indices)])
@@ -145,15 +156,25 @@ def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
         _panel("known surface, z (mm)", known, known.z_mm, span_mm, viridis),
         _panel("map, z (mm)", known, ours, span_mm, viridis),
         _panel("the paper's average, z (mm)", known, theirs, span_mm, viridis),
-        _panel("map minus known surface (mm)", known, ours - known.z_mm, (-_ERROR_MM, _ERROR_MM), blue_white_red),
+        _panel(
+            "map minus known surface (mm)",
+            known,
+            ours - known.z_mm,
+            (-_ERROR_MM, _ERROR_MM),
+            blue_white_red,
+        ),
     ]
-    return cv2.imencode(".png", np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:]))))[1].tobytes()
+    return cv2.imencode(".png", np.vstack((np.hstack(panels[:2]), np.hstack(panels[2:]))))[
+        1
+    ].tobytes()
 
 
 def _panel(title: str, grid: Raster, z_mm: F32, span: tuple[float, float], colours: U8) -> U8:
     """Values on the cells of `grid` in colours, grey where there are none, beside the bar of their span."""
     zoom = max(1, _PANEL_PX // z_mm.shape[1])
-    level = np.nan_to_num(np.clip((z_mm - span[0]) / (span[1] - span[0]), 0, 1) * 255).astype(np.uint8)
+    level = np.nan_to_num(np.clip((z_mm - span[0]) / (span[1] - span[0]), 0, 1) * 255).astype(
+        np.uint8
+    )
     picture = colours[level]
     picture[~np.isfinite(z_mm)] = _UNTOUCHED_GREY
     picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)

@@ -66,12 +66,16 @@ def _binary(encode: Callable[..., bytes]) -> Callable[[Reconstruction], bytes]:
 
 
 OUTPUTS: dict[str, Output] = {
-    "contact": Output(Need.DEPTH, lambda result: messages.encode_contact(result, fps=0.0), "greatest depth"),
+    "contact": Output(
+        Need.DEPTH, lambda result: messages.encode_contact(result, fps=0.0), "greatest depth"
+    ),
     "height": Output(Need.DEPTH, _binary(wire.encode_height), "mean over the contact"),
     "cloud": Output(Need.DEPTH, _binary(wire.encode_cloud), "ME, eq. 13"),
     "shear": Output(Need.SHEAR, _binary(wire.encode_shear), "mean over the contact"),
     "touch": Output(Need.TOUCH, messages.encode_touch, "see calibrate --labels"),
-    "sigma": Output(Need.SIGMA, _binary(wire.encode_sigma), "share in 90 % intervals, from 90 %", "%", ".0f"),
+    "sigma": Output(
+        Need.SIGMA, _binary(wire.encode_sigma), "share in 90 % intervals, from 90 %", "%", ".0f"
+    ),
 }
 
 
@@ -79,9 +83,13 @@ def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
     """How wrong each output is, as far as that is known; a missed contact counts as undeformed skin."""
     height, points = result.height, result.cloud.points_mm
     found = {"contact": abs(result.depth_max_mm - truth.depth_max_mm)}
-    found["cloud"] = score_cloud(points, truth.points_mm, 1.0).me_mm if len(points) else truth.depth_max_mm
+    found["cloud"] = (
+        score_cloud(points, truth.points_mm, 1.0).me_mm if len(points) else truth.depth_max_mm
+    )
     touched = truth.contact_on(height)
-    true_mm, true_shear_mm = (truth.sampled(each, height) for each in (truth.height_mm, truth.shear_mm))
+    true_mm, true_shear_mm = (
+        truth.sampled(each, height) for each in (truth.height_mm, truth.shear_mm)
+    )
     if touched is None or true_mm is None:
         return found
     off_mm = np.abs(height.height_mm - true_mm)
@@ -146,7 +154,9 @@ class Judged:
     errors: F64  # (settings, outputs), NaN if nothing touches
 
 
-def judge(settings: Sequence[Setting], calibration: Calibration, cases: Iterable[Case]) -> list[Judged]:
+def judge(
+    settings: Sequence[Setting], calibration: Calibration, cases: Iterable[Case]
+) -> list[Judged]:
     """Reconstruct every case with every setting."""
     made = [(each, each.make(calibration)) for each in settings]
     judged = []
@@ -175,14 +185,26 @@ class Simulation:
 
 
 def simulated(
-    settings: Sequence[Setting], sensors: Sequence[Simulation], objects: Sequence[str], workers: Workers, report: Report
+    settings: Sequence[Setting],
+    sensors: Sequence[Simulation],
+    objects: Sequence[str],
+    workers: Workers,
+    report: Report,
 ) -> list[Judged]:
     """Press and drag every object at one place and three depths of each sensor, and judge the settings.
 
     Raises DeviceError (a worker was killed).
     """
-    tasks = [(tuple(settings), each, name, k) for each in sensors for k, name in enumerate((*objects, None))]
-    return [each for some in reported_map(_simulated, tasks, workers, report, "objects pressed") for each in some]
+    tasks = [
+        (tuple(settings), each, name, k)
+        for each in sensors
+        for k, name in enumerate((*objects, None))
+    ]
+    return [
+        each
+        for some in reported_map(_simulated, tasks, workers, report, "objects pressed")
+        for each in some
+    ]
 
 
 def _simulated(task: tuple[Sequence[Setting], Simulation, str | None, int]) -> list[Judged]:
@@ -192,7 +214,9 @@ def _simulated(task: tuple[Sequence[Setting], Simulation, str | None, int]) -> l
         return judge(settings, one.calibration, null_cases(one.name, sensor, NULL_FRAMES))
     every = scenes(sensor.model, one.seed, object_name)
     first = number * len(DEPTHS_MM) % len(every)
-    return judge(settings, one.calibration, _dragged(one.name, sensor, every[first : first + len(DEPTHS_MM)]))
+    return judge(
+        settings, one.calibration, _dragged(one.name, sensor, every[first : first + len(DEPTHS_MM)])
+    )
 
 
 def _dragged(name: str, sensor: PressedSensor, scenes: Iterable[Scene]) -> Iterator[Case]:
@@ -209,7 +233,9 @@ def _dragged(name: str, sensor: PressedSensor, scenes: Iterable[Scene]) -> Itera
         yield Case(Label(name, scene.object_name), known, frame.image)
 
 
-def weigh(settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report) -> list[float]:
+def weigh(
+    settings: Sequence[Setting], calibration: Calibration, images: Sequence[U8], report: Report
+) -> list[float]:
     """Peak memory in MiB that each setting, with every output, adds to a process of its own.
 
     Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and networks, and the
@@ -223,7 +249,9 @@ def weigh(settings: Sequence[Setting], calibration: Calibration, images: Sequenc
 def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     setting, calibration, images = task
     runtime()  # its import does not count
-    with contextlib.suppress(OSError):  # if a kernel cannot reset the peak, that of the imports is hardly higher
+    with contextlib.suppress(
+        OSError
+    ):  # if a kernel cannot reset the peak, that of the imports is hardly higher
         Path("/proc/self/clear_refs").write_text("5")
     before = _peak_kib()
     made = setting.make(calibration)
@@ -254,7 +282,9 @@ class Parts:
 class Timed:
     """A setting's frames on one thread, and the processor time of each part of them in ms."""
 
-    def __init__(self, setting: Setting, need: Need, whole: Calibration, judged: Sequence[Judged]) -> None:
+    def __init__(
+        self, setting: Setting, need: Need, whole: Calibration, judged: Sequence[Judged]
+    ) -> None:
         self.need = need
         self.contact: list[dict[str, float]] = []
         self.idle: list[dict[str, float]] = []
@@ -262,7 +292,8 @@ class Timed:
         self._made = setting.make(whole)
         self._t_ns = 0
         self._touched, self._untouched = (
-            [setting.image(each.image) for each in judged if each.touched is touched] for touched in (True, False)
+            [setting.image(each.image) for each in judged if each.touched is touched]
+            for touched in (True, False)
         )
         # The first frame imports and allocates.
         self._touched = [image for image in self._touched if "depth" in self.frame(image)]
@@ -361,7 +392,9 @@ def measure(
     Also returns elapsed time over this thread's processor time, 1 if nothing else ran. Raises DeviceError (a worker
     was killed).
     """
-    touched, untouched = ([each for each in judged if each.touched is touched] for touched in (True, False))
+    touched, untouched = (
+        [each for each in judged if each.touched is touched] for touched in (True, False)
+    )
     first = [each for each in judged if each.sensor == judged[0].sensor]  # those of the calibration
     images = [each.image for each in first if each.touched][:WEIGHED_IMAGES]
     peaks = weigh(settings, calibration, images, report)
@@ -417,7 +450,8 @@ def _estimates(errors: F64) -> list[list[Estimate]]:
     draws = _mean(errors[drawn]) if count >= LEAST else np.full((1, *values.shape), np.nan)
     ends = np.percentile(draws, (2.5, 97.5), axis=0)
     return [
-        [Estimate(*map(float, each)) for each in zip(*some, strict=True)] for some in zip(values, *ends, strict=True)
+        [Estimate(*map(float, each)) for each in zip(*some, strict=True)]
+        for some in zip(values, *ends, strict=True)
     ]
 
 
@@ -432,9 +466,13 @@ def _times(timed: Sequence[Timed], outputs: Sequence[str]) -> Times:
     """The times with these outputs only."""
     need = functools.reduce(operator.or_, (OUTPUTS[name].need for name in outputs))
     one = timed[-1 if Need.TOUCH in need else 0]
-    unasked = {part for part, flag in (("shear", Need.SHEAR), ("sigma", Need.SIGMA)) if flag not in need}
+    unasked = {
+        part for part, flag in (("shear", Need.SHEAR), ("sigma", Need.SIGMA)) if flag not in need
+    }
     unasked |= {f"encode {name}" for name in OUTPUTS if name not in outputs}
-    taken = [sum(ms for part, ms in frame.items() if part not in unasked) for frame in one.contact] or [math.nan]
+    taken = [
+        sum(ms for part, ms in frame.items() if part not in unasked) for frame in one.contact
+    ] or [math.nan]
     idle = [sum(frame.values()) for frame in one.idle] or [math.nan]
     p50, p99 = np.percentile(taken, (50, 99))
     return Times(float(p50), float(p99), float(np.mean(taken)), float(np.median(idle)))

@@ -30,7 +30,10 @@ def small_pad() -> Iterator[None]:
 def sensor_yaml() -> str:
     """The text of the simulated sensor's SENSOR.yaml."""
     model = SensorModel()
-    keys = {name: getattr(model, name) for name in ("skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm")}
+    keys = {
+        name: getattr(model, name)
+        for name in ("skin_radius_mm", "visible_half_angle_deg", "camera_distance_mm")
+    }
     return str(yaml.safe_dump(keys | {"polarity": "bright"}))
 
 

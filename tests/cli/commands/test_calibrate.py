@@ -43,7 +43,9 @@ def with_table(words: list[str], path: Path, rows: list[list[str]]) -> list[str]
     """The words of `calibrate` with another table, whose first column names images of the first one."""
     folder = Path(words[3]).parent
     with path.open("w", newline="") as stream:
-        csv.writer(stream).writerows([rows[0], *([str(folder / row[0]), *row[1:]] for row in rows[1:])])
+        csv.writer(stream).writerows(
+            [rows[0], *([str(folder / row[0]), *row[1:]] for row in rows[1:])]
+        )
     return [*words[:3], str(path), *words[4:]]
 
 
@@ -69,17 +71,33 @@ def test_what_was_fitted_is_printed_and_stored(
     assert main(["calibrate", *command]) == 0
     printed = capsys.readouterr().out
     calibration = calibration_file.load(out)
-    for key in ("radius_px", "pitch_px", "mm_per_px", "accurate_depth_mae_mm", "fast_depth_worst_mm"):
+    for key in (
+        "radius_px",
+        "pitch_px",
+        "mm_per_px",
+        "accurate_depth_mae_mm",
+        "fast_depth_worst_mm",
+    ):
         assert f"  {key}: " in printed
     assert re.search(r"^(fair|poor): depth is within \d\.\d\d mm", printed, re.MULTILINE)
     assert "  to do: 10 presses: 20 to 40" in printed
-    assert re.search(r"^  with balanced, the profile of `run` and `reconstruct` by default: \d", printed, re.MULTILINE)
+    assert re.search(
+        r"^  with balanced, the profile of `run` and `reconstruct` by default: \d",
+        printed,
+        re.MULTILINE,
+    )
     assert main(["calibrate", *command, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["crc32"] == f"{calibration.crc32:08x}"
     assert report["crc32"] in printed
     figures = calibration_file.fit_figures(calibration.fit)
-    assert {"presses", "agreement_mae_mm", "position_mae_mm", "fast_presses", "accurate_depth_worst_mm"} <= set(figures)
+    assert {
+        "presses",
+        "agreement_mae_mm",
+        "position_mae_mm",
+        "fast_presses",
+        "accurate_depth_worst_mm",
+    } <= set(figures)
     assert {key: report[key] for key in figures} == pytest.approx(figures, abs=1e-4)
     assert report["verdict_line"].startswith(report["verdict"])
     assert report["to_do"][0].startswith("10 presses")
@@ -91,7 +109,11 @@ def test_it_runs_few_files(words: list[str], tmp_path: Path) -> None:
 
     def see(frame: FrameType, event: str, _: object) -> None:
         code = frame.f_code
-        if event == "call" and code.co_flags & inspect.CO_OPTIMIZED and code.co_filename.startswith(package):
+        if (
+            event == "call"
+            and code.co_flags & inspect.CO_OPTIMIZED
+            and code.co_filename.startswith(package)
+        ):
             files.add(code.co_filename)
 
     sys.setprofile(see)
@@ -111,10 +133,20 @@ def test_a_folder_of_references_and_a_picture_of_what_was_found(
     references = alone[alone.index("--reference") + 1 :]
     for path in references:
         (given / Path(path).name).symlink_to(path)
-    command = ["calibrate", *alone[: -len(references)], str(given), "--out", str(out), "--plot", str(plot)]
+    command = [
+        "calibrate",
+        *alone[: -len(references)],
+        str(given),
+        "--out",
+        str(out),
+        "--plot",
+        str(plot),
+    ]
     assert main(command) == 0
     assert read_image(plot).std() > 10
-    (given / "flat.png").write_bytes(cv2.imencode(".png", np.full((240, 320), 90, np.uint8))[1].tobytes())
+    (given / "flat.png").write_bytes(
+        cv2.imencode(".png", np.full((240, 320), 90, np.uint8))[1].tobytes()
+    )
     plot.unlink()
     out.unlink()
     capsys.readouterr()
@@ -150,7 +182,9 @@ def test_a_loaded_reference_needs_a_flag_and_is_named(
     assert "seems pressed" in capsys.readouterr().err
 
 
-def test_bad_input_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "text.png").write_text("no image")
     (tmp_path / "cut.png").write_bytes(Path(words[5]).read_bytes()[:1000])
     cv2.imwrite(str(tmp_path / "large.png"), np.zeros((480, 640), np.uint8))
@@ -174,17 +208,32 @@ def test_bad_input_is_one_line(words: list[str], tmp_path: Path, capsys: pytest.
     assert nowhere in refused(["calibrate", *sensor, *words[4:], "--out", nowhere], capsys, 1)
 
 
-def test_named_indenters(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_named_indenters(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Other shapes are in tests/core/calibration/test_indenters.py."""
     header, *rows = rows_of(words)
     names = {row[2]: f"ball-{k}" for k, row in enumerate(rows[:12])}
-    indenters = [f"{name}: {{shape: ball, radius_mm: {radius}}}\n" for radius, name in names.items()]
+    indenters = [
+        f"{name}: {{shape: ball, radius_mm: {radius}}}\n" for radius, name in names.items()
+    ]
     (tmp_path / "INDENTERS.yaml").write_text("".join(indenters))
     table, folder = tmp_path / "PRESSES.csv", Path(words[3]).parent
     with table.open("w", newline="") as stream:
-        named = [["3", str(folder / image), names[radius], "", *numbers] for image, _, radius, *numbers in rows[:12]]
+        named = [
+            ["3", str(folder / image), names[radius], "", *numbers]
+            for image, _, radius, *numbers in rows[:12]
+        ]
         csv.writer(stream).writerows([["force", *header], *named])
-    command = ["calibrate", *words[:2], "--presses", str(table), *words[4:], "--out", str(tmp_path / "cal.npz")]
+    command = [
+        "calibrate",
+        *words[:2],
+        "--presses",
+        str(table),
+        *words[4:],
+        "--out",
+        str(tmp_path / "cal.npz"),
+    ]
     assert main(command) == 78
     assert "PRESSES.csv:2: indenter: found 'ball-" in capsys.readouterr().err
     assert main([*command, "--indenters", str(tmp_path / "INDENTERS.yaml")]) == 0
@@ -194,13 +243,18 @@ def test_named_indenters(words: list[str], tmp_path: Path, capsys: pytest.Captur
     assert fit.presses == 12
 
 
-def test_rezero_keeps_all_but_the_reference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rezero_keeps_all_but_the_reference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     old, new, dim = tmp_path / "old.npz", tmp_path / "new.npz", []
     calibration_file.save(old, calibrated())
     for k in range(3):
         dim.append(str(tmp_path / f"dim{k}.png"))
         cv2.imwrite(dim[-1], camera_faults.gain(unloaded(noise_seed=70 + k), 0.7))
-    assert main(["calibrate", "--rezero", str(old), "--reference", *dim, "--out", str(new), "--json"]) == 0
+    assert (
+        main(["calibrate", "--rezero", str(old), "--reference", *dim, "--out", str(new), "--json"])
+        == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert report["light"] == pytest.approx(0.7, abs=0.02)
     (warning,) = report["warnings"]
@@ -212,7 +266,9 @@ def test_rezero_keeps_all_but_the_reference(tmp_path: Path, capsys: pytest.Captu
     assert after.reference_grey.mean() < 0.8 * before.reference_grey.mean()
 
 
-def test_rezero_refuses_in_one_line(alone: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rezero_refuses_in_one_line(
+    alone: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     old, out = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, calibrated())
     images = {
@@ -221,19 +277,31 @@ def test_rezero_refuses_in_one_line(alone: list[str], tmp_path: Path, capsys: py
     }
     for said, image in images.items():
         cv2.imwrite(str(tmp_path / "image.png"), image)
-        command = ["calibrate", "--rezero", str(old), "--reference", str(tmp_path / "image.png"), "--out", str(out)]
+        command = [
+            "calibrate",
+            "--rezero",
+            str(old),
+            "--reference",
+            str(tmp_path / "image.png"),
+            "--out",
+            str(out),
+        ]
         line = refused(command, capsys)
         assert f"{old}: rejected " in line
         assert said in line
     more = (alone[:2], ["--presses", "x"], ["--fit"])
     for wrong in (*(["--rezero", str(old), *words] for words in more), []):
         with pytest.raises(SystemExit, match="2"):
-            main(["calibrate", *wrong, "--reference", str(tmp_path / "image.png"), "--out", str(out)])
+            main(
+                ["calibrate", *wrong, "--reference", str(tmp_path / "image.png"), "--out", str(out)]
+            )
         assert "--rezero" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("layout", [None, "another"])
-def test_a_new_reference_keeps_the_fit(alone: list[str], tmp_path: Path, layout: str | None) -> None:
+def test_a_new_reference_keeps_the_fit(
+    alone: list[str], tmp_path: Path, layout: str | None
+) -> None:
     old, new = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, fitted_with("fast", calibrated(), layout=layout))
     assert main(["calibrate", "--rezero", str(old), *alone[2:], "--out", str(new)]) == 0
@@ -242,23 +310,38 @@ def test_a_new_reference_keeps_the_fit(alone: list[str], tmp_path: Path, layout:
 
 
 def test_a_fit_without_its_extra_names_it(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda module: None if module == "numba" else True)
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda module: None if module == "numba" else True
+    )
     line = refused(["calibrate", *words, "--fit", "--out", str(tmp_path / "cal.npz")], capsys)
-    assert "--fit: the package numba is not installed; to install it: pip install torch --index-url " in line
+    assert (
+        "--fit: the package numba is not installed; to install it: pip install torch --index-url "
+        in line
+    )
     assert "/whl/cpu, then pip install '.[fit]' in the clone" in line
 
 
 @pytest.mark.fit
 def test_a_fit_goes_into_the_file(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The fit itself is in tests/fitting."""
     pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
     from tacshade_edge.fitting import fit
 
-    made = fit.FitResult(fitted_with("fast", calibrated()), ("found a print",), (fit.NetworkReport("fast", 0.3, 0.2),))
+    made = fit.FitResult(
+        fitted_with("fast", calibrated()),
+        ("found a print",),
+        (fit.NetworkReport("fast", 0.3, 0.2),),
+    )
     monkeypatch.setattr(fit, "fit", lambda *_: made)
     out = tmp_path / "cal.npz"
     assert main(["calibrate", *words, "--fit", "--out", str(out), "--json"]) == 0
@@ -289,7 +372,12 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
     alone: list[str], labelled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, renewed = tmp_path / "cal.npz", tmp_path / "new.npz"
-    assert main(["calibrate", *alone, "--labels", f"{labelled}/LABELS.csv", "--out", str(out), "--json"]) == 0
+    assert (
+        main(
+            ["calibrate", *alone, "--labels", f"{labelled}/LABELS.csv", "--out", str(out), "--json"]
+        )
+        == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert set(report["touch"]) == {"fast", "balanced", "accurate"}
     for one in report["touch"].values():
@@ -297,18 +385,28 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
         assert one["quantities"]["depth_mm"]["error"] < 0.2
         assert one["quantities"]["tilt_x_deg"]["error"] < 3.0
         assert "force_z_n" not in one["quantities"]  # 30 rows are too few
-    assert any("force_z_n: found 30 usable rows in 30 groups" in line for line in report["warnings"])
+    assert any(
+        "force_z_n: found 30 usable rows in 30 groups" in line for line in report["warnings"]
+    )
     calibration = calibration_file.load(out)
     assert main(["calibrate", "--rezero", str(out), *alone[2:], "--out", str(renewed)]) == 0
-    assert calibration_file.load(renewed).touch["fast"].networks == calibration.touch["fast"].networks
+    assert (
+        calibration_file.load(renewed).touch["fast"].networks == calibration.touch["fast"].networks
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("image,depth_mm\n0.png,1\n", "found 1 row with depth_mm, expected at least 40 rows with the same quantity"),
+        (
+            "image,depth_mm\n0.png,1\n",
+            "found 1 row with depth_mm, expected at least 40 rows with the same quantity",
+        ),
         ("image,depth_mm\n" + 40 * "gone.png,1\n", "LABELS.csv:2: image: "),
-        ("image,depth_mm\n" + 40 * "small.png,1\n", "small.png: found 32x24 px, expected 320x240 px"),
+        (
+            "image,depth_mm\n" + 40 * "small.png,1\n",
+            "small.png: found 32x24 px, expected 320x240 px",
+        ),
         (
             "image,depth_mm\n" + 40 * "free.png,1\n",
             "cannot learn any quantity: fast: depth_mm: found 40 usable rows in 40 groups",
@@ -316,10 +414,22 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
     ],
 )
 def test_a_mistake_in_labels_is_one_line(
-    alone: list[str], labelled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+    alone: list[str],
+    labelled: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
+    said: str,
 ) -> None:
     for path in labelled.glob("*.png"):
         (tmp_path / path.name).symlink_to(path)
     (tmp_path / "LABELS.csv").write_text(text)
-    command = ["calibrate", *alone, "--labels", str(tmp_path / "LABELS.csv"), "--out", str(tmp_path / "cal.npz")]
+    command = [
+        "calibrate",
+        *alone,
+        "--labels",
+        str(tmp_path / "LABELS.csv"),
+        "--out",
+        str(tmp_path / "cal.npz"),
+    ]
     assert said in refused(command, capsys)

@@ -26,7 +26,9 @@ Press = Callable[..., None]
 
 
 @pytest.mark.slow
-def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Path, press: Press) -> None:
+def test_from_an_empty_folder_to_what_calibrate_reads(
+    tmp_path: Path, config: Path, press: Press
+) -> None:
     plan, out = tmp_path / "PLAN.csv", tmp_path / "my sensor"
     plan.write_text(PLAN + ",ball,6,2.5,1,-3\n,ball,4,2,-5,2\n")
     with person(str(out), "--config", str(config), "--plan", str(plan)) as one:
@@ -34,7 +36,12 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.types("0.02")
         one.hears("skin_radius_mm: found 0.02, expected a number from 1 to 200")
         model = SensorModel()
-        for answer in (model.skin_radius_mm, model.visible_half_angle_deg, model.camera_distance_mm, "bright"):
+        for answer in (
+            model.skin_radius_mm,
+            model.visible_half_angle_deg,
+            model.camera_distance_mm,
+            "bright",
+        ):
             one.types(str(answer))
         one.hears("live picture: http://127.0.0.1:")
         one.hears("Enter takes 10 references.")
@@ -56,7 +63,9 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.hears("removed press_001.png")
         one.types("ball 12 2.5 1 -3")
         one.hears("press_001.png: ball of 12 mm")
-        about = [f"this looks like a ball of about {radius} mm: is " for radius in (5, 6, 7)]  # the noise decides
+        about = [
+            f"this looks like a ball of about {radius} mm: is " for radius in (5, 6, 7)
+        ]  # the noise decides
         one.hears(*about)
         one.hears("12 mm its diameter? (undo removes the press)")
         one.types("undo")
@@ -88,12 +97,17 @@ def test_from_an_empty_folder_to_what_calibrate_reads(tmp_path: Path, config: Pa
         one.hears("press_002.png: ball of 6 mm, 2.5 mm deep at x 1, y -3 mm")
         one.types("done")
         assert one.ends() == 0
-        assert f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --fit --out" in one.heard
+        assert (
+            f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --fit --out"
+            in one.heard
+        )
         assert f"\r\n  tacshade-edge run --config '{out}'/config.yaml\r\n" in one.heard
         assert "2 presses: " in one.heard
     folder = CaptureFolder(out)
     presses, _ = read_presses(folder.presses)
-    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [(6, 2.5, 1, -3)] * 2
+    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [
+        (6, 2.5, 1, -3)
+    ] * 2
     settings = load(folder.settings).settings
     assert settings.calibration == str(out / "calibration.npz")
     assert settings.recorder.folder == str(out / "recordings")  # the default is the service's
@@ -113,17 +127,23 @@ def takes(one: Person, line: str, shown: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_states_place_and_depth(tmp_path: Path, config: Path, press: Press, sensor_yaml: str) -> None:
+def test_a_robot_states_place_and_depth(
+    tmp_path: Path, config: Path, press: Press, sensor_yaml: str
+) -> None:
     """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
     link, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "out"
     config.write_text(f"{config.read_text()}serial: {{device: {link}}}\n")
     model, flange_T_sensor = SensorModel(), shift(0, 5, 80) @ turn((0, 0, 0.5))
     out.mkdir()
-    (out / "SENSOR.yaml").write_text(f"{sensor_yaml}flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n")
+    (out / "SENSOR.yaml").write_text(
+        f"{sensor_yaml}flange_T_sensor: {list(map(float, flange_T_sensor.seven()))}\n"
+    )
     held = shift(300, -20, 150) @ turn((2.0, 0.3, 0)) @ flange_T_sensor
     moved = held @ shift(-3, 1.5, 0.5)
     flange = [(one @ flange_T_sensor.inverse()).seven() for one in (held, moved)]
-    skin_z_mm = [math.sqrt(model.skin_radius_mm**2 - x * x - y * y) for x, y in ((1, -3), (4, -4.5))]
+    skin_z_mm = [
+        math.sqrt(model.skin_radius_mm**2 - x * x - y * y) for x, y in ((1, -3), (4, -4.5))
+    ]
     depth_mm = f"{2.5 + 0.5 + skin_z_mm[1] - skin_z_mm[0]:.3f}"
     place = flange[0]
     with (
@@ -134,7 +154,11 @@ def test_a_robot_states_place_and_depth(tmp_path: Path, config: Path, press: Pre
         one.types("")
         one.hears("press 1 (ball")
         robot.ask("CAPTURE")
-        wait_until(lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()), 10, "the refusal")
+        wait_until(
+            lambda: any(" UNCALIBRATED " in reply for reply in robot.replies.values()),
+            10,
+            "the refusal",
+        )
         press("ball,6,2.5,1,-3")
         one.types("ball 6")
         one.hears("found no press of ball in this run, expected a first press with depth, x and y")
@@ -154,7 +178,9 @@ def test_a_robot_states_place_and_depth(tmp_path: Path, config: Path, press: Pre
         assert one.ends() == 0
     link.unlink(missing_ok=True)
     columns = CaptureFolder(out).taken()[1].stated.columns
-    assert [float(text) for text in columns[1:]] == pytest.approx([6, float(depth_mm), 4, -4.5], abs=0.002)
+    assert [float(text) for text in columns[1:]] == pytest.approx(
+        [6, float(depth_mm), 4, -4.5], abs=0.002
+    )
     assert load(out / "config.yaml").settings.serial is not None
 
 
@@ -167,7 +193,12 @@ def test_what_cannot_work_is_one_line(
     (tmp_path / "PLAN.csv").write_text("image,indenter\n")
     (tmp_path / "none.yaml").write_text("source: {kind: files, path: nothing}\n")
     cases = {
-        "PLAN.csv:1: found the header": ["--config", str(config), "--plan", str(tmp_path / "PLAN.csv")],
+        "PLAN.csv:1: found the header": [
+            "--config",
+            str(config),
+            "--plan",
+            str(tmp_path / "PLAN.csv"),
+        ],
         "found nothing, expected a folder of images": ["--config", str(tmp_path / "none.yaml")],
         "--camera /dev/none: found another source in": ["--camera", "/dev/none"],
         "--scale: found no --labels DIR": ["--scale", "/dev/ttyUSB0"],

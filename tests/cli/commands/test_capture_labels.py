@@ -49,7 +49,9 @@ class PtyScale:
         while not self._stop.wait(0.05):
             now_s = time.monotonic()
             kg = next(kg for from_s, kg in reversed(self._loads) if from_s <= now_s)
-            os.write(self._master, f"ST,GS,{kg + 0.012:+8.3f}kg\r\n".encode())  # it was not set to zero
+            os.write(
+                self._master, f"ST,GS,{kg + 0.012:+8.3f}kg\r\n".encode()
+            )  # it was not set to zero
 
 
 @pytest.fixture
@@ -92,7 +94,10 @@ def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
         rested(one)
         one.hears("press 1 (Enter, NAME=VALUE ...")
         for words, why in (
-            ("", "found nothing, expected NAME=VALUE ..., because there is neither a scale nor a robot"),
+            (
+                "",
+                "found nothing, expected NAME=VALUE ..., because there is neither a scale nor a robot",
+            ),
             ("force_n=1", "found 'force_n=1', expected NAME=VALUE, where NAME is one of depth_mm,"),
             ("force_z_n=much", "press: force_z_n: found 'much', expected a number"),
             ("force_z_n=1 force_z_n=2", "force_z_n: found two values, expected one value"),
@@ -124,12 +129,18 @@ def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
         one.hears("press 2: 1 picture with twist_deg")
         one.process.terminate()
         one.ends()
-    assert [(row.known, row.group) for row in labelled(out)] == [(first.known, "1"), ({"twist_deg": -3.0}, "2")]
+    assert [(row.known, row.group) for row in labelled(out)] == [
+        (first.known, "1"),
+        ({"twist_deg": -3.0}, "2"),
+    ]
 
 
 @pytest.mark.slow
 def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: Press) -> None:
-    with PtyScale() as scale, person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one:
+    with (
+        PtyScale() as scale,
+        person("--labels", str(out), "--config", str(config), "--scale", scale.device) as one,
+    ):
         rested(one)
         one.hears(f"tare: the scale reads {0.012 * 9.80665:.4f} N, spread 0.0000 N")
         for _ in presses(one, press, scale, range(1, 6)):
@@ -138,7 +149,10 @@ def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: P
         one.hears("scale: subtracted the tare of 0.1177 N")
         one.hears("scale: its readings come ")
         one.hears(" presses")
-        late_ms, error_ms = float(one.before.split()[0]), float(one.before.split("standard error ")[1].split()[0])
+        late_ms, error_ms = (
+            float(one.before.split()[0]),
+            float(one.before.split("standard error ")[1].split()[0]),
+        )
         assert one.ends() == 0
     assert error_ms < 50
     # A picture is taken up to a frame after the hand has moved, a reading up to a twentieth of a second later.
@@ -179,12 +193,16 @@ def test_a_robots_poses_label_a_press(out: Path, config: Path, press: Press) -> 
         pause.wait(0.2)
         one.types("")
         one.hears("press 1: ")
-        one.hears("pictures with depth_mm, tilt_x_deg, tilt_y_deg, shear_x_mm, shear_y_mm, twist_deg")
+        one.hears(
+            "pictures with depth_mm, tilt_x_deg, tilt_y_deg, shear_x_mm, shear_y_mm, twist_deg"
+        )
         one.types("done")
         assert one.ends() == 0
     link.unlink(missing_ok=True)
     rows = labelled(out)
     assert len(rows) > 4
     still = dict.fromkeys(("tilt_x_deg", "tilt_y_deg", "twist_deg"), 0.0)
-    known = pytest.approx({"depth_mm": 1.5, "shear_x_mm": -0.5, "shear_y_mm": 0.25, **still}, abs=1e-3)
+    known = pytest.approx(
+        {"depth_mm": 1.5, "shear_x_mm": -0.5, "shear_y_mm": 0.25, **still}, abs=1e-3
+    )
     assert all(row.known == known for row in rows)

@@ -51,13 +51,28 @@ def test_a_missing_calibration_is_a_warning_with_the_next_command(
     ("text", "said"),
     [
         (GOOD + "mqtt: {prot: 1}\n", ":3: mqtt.prot: found an unknown key"),
-        ("calibration: cut.npz\nsource: {kind: simulated}\n", ":1: calibration: {folder}/cut.npz: "),
+        (
+            "calibration: cut.npz\nsource: {kind: simulated}\n",
+            ":1: calibration: {folder}/cut.npz: ",
+        ),
         ("calibration: c.npz\n", ": source.width_px: found 640x480 px"),
-        ("calibration: c.npz\nsource: {kind: files, path: absent}\n", ":2: source.path: {folder}/absent: "),
+        (
+            "calibration: c.npz\nsource: {kind: files, path: absent}\n",
+            ":2: source.path: {folder}/absent: ",
+        ),
         (GOOD + "mqtt: {ca_file: no.pem}\n", ":3: mqtt.ca_file: found no file {folder}/no.pem"),
-        (GOOD + "mqtt: {username: a, password_file: absent}\n", ":3: mqtt.password_file: {folder}/absent: No"),
-        (GOOD + "mqtt: {password_file: s.yaml}\n", ":3: mqtt.password_file: found a password without a user"),
-        (HAND % "none" + FINGER % ", mqtt: {password_file: a}", ":2: mqtt.password_file: {folder}/none: No"),
+        (
+            GOOD + "mqtt: {username: a, password_file: absent}\n",
+            ":3: mqtt.password_file: {folder}/absent: No",
+        ),
+        (
+            GOOD + "mqtt: {password_file: s.yaml}\n",
+            ":3: mqtt.password_file: found a password without a user",
+        ),
+        (
+            HAND % "none" + FINGER % ", mqtt: {password_file: a}",
+            ":2: mqtt.password_file: {folder}/none: No",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_78(
@@ -69,12 +84,15 @@ def test_a_mistake_is_one_line_and_exit_78(
     assert printed.err.startswith(f"tacshade-edge: {folder}/s.yaml{said.format(folder=folder)}")
 
 
-def test_all_files_that_the_settings_name_are_checked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_files_that_the_settings_name_are_checked(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = "calibration: s.yaml\nsource: {kind: files, path: absent}\nmqtt: {ca_file: no.pem}\n"
     assert check(folder, text) == EXIT_CONFIG
     lines = capsys.readouterr().err.splitlines()
     starts = [
-        f"tacshade-edge: {folder}/s.yaml{at}: " for at in (":2: source.path", ":3: mqtt.ca_file", ":1: calibration")
+        f"tacshade-edge: {folder}/s.yaml{at}: "
+        for at in (":2: source.path", ":3: mqtt.ca_file", ":1: calibration")
     ]
     assert [line[: len(start)] for line, start in zip(lines, starts, strict=True)] == starts
 
@@ -87,6 +105,8 @@ def test_all_files_that_the_settings_name_are_checked(folder: Path, capsys: pyte
         ("source: {kind: v4l2, widht_px: 3}\n", "width_px"),
     ],
 )
-def test_a_near_name_is_suggested(folder: Path, capsys: pytest.CaptureFixture[str], text: str, nearest: str) -> None:
+def test_a_near_name_is_suggested(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str, nearest: str
+) -> None:
     assert check(folder, text) == EXIT_CONFIG
     assert capsys.readouterr().err.endswith(f"; did you mean {nearest}?\n")

@@ -53,7 +53,10 @@ def test_it_prints_its_address_and_stops_on_a_signal() -> None:
         (["--host", "192.0.2.1"], 1),
         (["--ca-file", "none.pem"], 78),
         (["--ca-file", "text"], 78),
-        *((["--token-file", name], 78) for name in (".", "none/token", "empty", "short", "text", "long", "lines")),
+        *(
+            (["--token-file", name], 78)
+            for name in (".", "none/token", "empty", "short", "text", "long", "lines")
+        ),
         (["--certificate", "none.pem"], 78),
         (["--certificate", "empty", "--key", "key.pem"], 78),
         (["--certificate", "cert.pem"], 78),
@@ -63,7 +66,11 @@ def test_it_prints_its_address_and_stops_on_a_signal() -> None:
     ],
 )
 def test_what_cannot_be_used_is_one_line(
-    words: list[str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     texts = {"empty": "", "short": "short", "text": "a token of several words", "long": "x" * 129}
     for name, text in (texts | {"lines": "a" * 20 + "\n" + "b" * 20}).items():
@@ -71,7 +78,17 @@ def test_what_cannot_be_used_is_one_line(
     for name, path in zip(("cert.pem", "key.pem"), certificate(tmp_path), strict=True):
         path.rename(tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    command = ["openssl", "ec", "-in", "key.pem", "-aes256", "-passout", "pass:word", "-out", "locked.pem"]
+    command = [
+        "openssl",
+        "ec",
+        "-in",
+        "key.pem",
+        "-aes256",
+        "-passout",
+        "pass:word",
+        "-out",
+        "locked.pem",
+    ]
     subprocess.run(command, check=True, capture_output=True)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
@@ -87,7 +104,16 @@ def test_what_cannot_be_used_is_one_line(
 @pytest.mark.slow
 def test_a_token_is_printed_once_and_kept(tmp_path: Path) -> None:
     cert, key = certificate(tmp_path)
-    words = ["--host", "0.0.0.0", "--token-file", str(tmp_path / "t"), "--certificate", str(cert), "--key", str(key)]
+    words = [
+        "--host",
+        "0.0.0.0",
+        "--token-file",
+        str(tmp_path / "t"),
+        "--certificate",
+        str(cert),
+        "--key",
+        str(key),
+    ]
     with started(*words) as (line, _):
         assert f"/login#{(tmp_path / 't').read_text().strip()} for the broker" in line
         assert f", read-only, token in {tmp_path / 't'}; press Ctrl-C to stop" in line
@@ -105,7 +131,11 @@ KINDS = {"foxglove": "foxglove", "prometheus": "prometheus_client"}
 
 @pytest.mark.parametrize(
     ("words", "package"),
-    [("dashboard", "websockets"), ("bridge foxglove", "foxglove"), ("bridge prometheus", "prometheus_client")],
+    [
+        ("dashboard", "websockets"),
+        ("bridge foxglove", "foxglove"),
+        ("bridge prometheus", "prometheus_client"),
+    ],
 )
 def test_a_missing_package_names_its_extra(
     words: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -126,9 +156,14 @@ def test_an_address_in_use(kind: str, capsys: pytest.CaptureFixture[str]) -> Non
     assert "Address already in use" in error
 
 
-def test_a_password_needs_a_name_and_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_password_needs_a_name_and_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["bridge", "prometheus", "--password-file", str(tmp_path / "password")]
     assert main(words) == EXIT_CONFIG
     assert "--password-file: found no --username" in capsys.readouterr().err
     assert main([*words, "--username", "dashboard"]) == EXIT_CONFIG
-    assert f"--password-file: {tmp_path}/password: No such file or directory" in capsys.readouterr().err
+    assert (
+        f"--password-file: {tmp_path}/password: No such file or directory"
+        in capsys.readouterr().err
+    )

@@ -24,7 +24,9 @@ from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import patience, wait_until
 
 # As on a machine without mosquitto.
-WITHOUT_MOSQUITTO = "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
+WITHOUT_MOSQUITTO = (
+    "import shutil, sys; shutil.which = lambda *a, **k: None; from tacshade_edge.cli import main; "
+)
 COMMANDS = {
     "mosquitto": [sys.executable, "-m", "tacshade_edge", "demo"],
     "embedded": [sys.executable, "-c", WITHOUT_MOSQUITTO + "sys.exit(main(sys.argv[1:]))", "demo"],
@@ -34,7 +36,9 @@ ADDRESS = re.compile(r"http://\S+?:(\d+)/(login#\S+)?")
 
 
 @contextlib.contextmanager
-def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[str], tuple[str, str]]]:
+def demo(
+    command: list[str], folder: Path
+) -> Iterator[tuple[subprocess.Popen[str], tuple[str, str]]]:
     """A running demo with its files in `folder`, and the port and path of its page. Killed, it leaves no process."""
     process = subprocess.Popen(
         command,
@@ -48,7 +52,11 @@ def demo(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[st
         assert process.stdout.readline().startswith("Calibrating")
         line = process.stdout.readline()
         found = ADDRESS.search(line)
-        assert found, (line, process.poll(), process.stderr and process.poll() and process.stderr.read())
+        assert found, (
+            line,
+            process.poll(),
+            process.stderr and process.poll() and process.stderr.read(),
+        )
         if found[2]:
             assert process.stdout.readline().startswith("No encryption")
         line = process.stdout.readline()
@@ -75,7 +83,9 @@ def running(folder: Path) -> list[str]:
 
 
 def heights(page: Subscriber) -> list[wire.HeightMessage]:
-    decoded = [wire.decode(bytes(m.payload)) for m in list(page.messages) if m.topic.endswith("/height")]
+    decoded = [
+        wire.decode(bytes(m.payload)) for m in list(page.messages) if m.topic.endswith("/height")
+    ]
     return [message for message in decoded if isinstance(message, wire.HeightMessage)]
 
 
@@ -106,11 +116,15 @@ def test_a_hand_of_five_holds_a_bottle_and_what_it_feels_lies_on_it(tmp_path: Pa
         hand = load_hand(settings)
         assert hand is not None
         assert hand.fingers == tuple(demo_hand.FINGERS)
-        with Subscriber(hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects") as seen:
+        with Subscriber(
+            hand.common.settings.mqtt.port, f"tacshade/hand/{hand.hand_id}/objects"
+        ) as seen:
 
             def all_hold() -> bool:
                 reported = [decode_hand(bytes(message.payload)) for message in seen.messages[-1:]]
-                return bool(reported) and all(finger.objects for finger in reported[0].fingers.values())
+                return bool(reported) and all(
+                    finger.objects for finger in reported[0].fingers.values()
+                )
 
             wait_until(all_hold, 60, "all fingers hold it")
             fingers = decode_hand(bytes(seen.messages[-1].payload)).fingers
@@ -118,7 +132,9 @@ def test_a_hand_of_five_holds_a_bottle_and_what_it_feels_lies_on_it(tmp_path: Pa
         assert process.communicate(timeout=patience(20)) == ("", "")
     for name, finger in fingers.items():
         centroid_mm = np.array(finger.objects[0].centroid_mm)
-        assert abs(float(demo_hand.BOTTLE.sdf(centroid_mm[None])[0])) < 2.0, name  # it may be closing
+        assert abs(float(demo_hand.BOTTLE.sdf(centroid_mm[None])[0])) < 2.0, (
+            name
+        )  # it may be closing
         inwards = demo_hand.place_of(name).rotation[:, 2]
         assert np.dot(finger.objects[0].normal, inwards) > 0.9, name
     assert running(tmp_path) == []
@@ -128,7 +144,10 @@ def test_a_hand_of_five_holds_a_bottle_and_what_it_feels_lies_on_it(tmp_path: Pa
 def test_a_signal_while_it_starts_leaves_nothing(tmp_path: Path) -> None:
     leader, follower = pty.openpty()
     process = subprocess.Popen(
-        COMMANDS["embedded"], stdout=follower, stderr=subprocess.PIPE, env={**os.environ, "TMPDIR": str(tmp_path)}
+        COMMANDS["embedded"],
+        stdout=follower,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
     )
     os.close(follower)
     assert os.read(leader, 100).startswith(b"Calibrating")
@@ -146,7 +165,9 @@ def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         command = [*COMMANDS["embedded"], "--http", str(port)]
         env = {**os.environ, "TMPDIR": str(tmp_path)}
-        done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False, env=env)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=patience(60), check=False, env=env
+        )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert re.match(rf"tacshade-edge: demo: the dashboard .*port {port}", done.stderr), done.stderr
@@ -156,14 +177,23 @@ def test_a_port_in_use_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.browser
 @pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="Chromium or its driver is not installed")
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-def test_the_page_draws_the_presses_on_another_machine_with_the_token_that_is_printed(tmp_path: Path) -> None:
+def test_the_page_draws_the_presses_on_another_machine_with_the_token_that_is_printed(
+    tmp_path: Path,
+) -> None:
     profile = tmp_path / "chromium"
-    with demo([*COMMANDS["mosquitto"], "--listen", "0.0.0.0"], tmp_path) as (_, (port, path)), browser(profile) as page:
+    with (
+        demo([*COMMANDS["mosquitto"], "--listen", "0.0.0.0"], tmp_path) as (_, (port, path)),
+        browser(profile) as page,
+    ):
         page.get(f"http://127.0.0.1:{port}/{path}")
         peaks: set[float] = set()
 
         def moves() -> bool:
-            peaks.add(page.execute_script("return window.tacshade?.seq == null ? 0 : tacshade.drawnPeak()"))
+            peaks.add(
+                page.execute_script(
+                    "return window.tacshade?.seq == null ? 0 : tacshade.drawnPeak()"
+                )
+            )
             return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
 
         wait_until(moves, 60, "depths that change on the canvas")

@@ -31,7 +31,9 @@ def test_a_fault_is_exit_1_its_fix_stands_below_and_the_bundle_has_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, bundle = write(tmp_path, free_port()), tmp_path / "b.zip"
-    assert main(["doctor", "--config", config, "--bundle", str(bundle), "--with-frame"]) == EXIT_FAILED
+    assert (
+        main(["doctor", "--config", config, "--bundle", str(bundle), "--with-frame"]) == EXIT_FAILED
+    )
     printed = capsys.readouterr()
     *lines, counts, wrote = printed.out.splitlines()
     assert printed.err == ""
@@ -46,7 +48,9 @@ def test_a_fault_is_exit_1_its_fix_stands_below_and_the_bundle_has_all(
         assert json.loads(files.read("findings.json"))[0]["check"] == "settings"
 
 
-def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_of_bad_settings_is_a_list_and_exit_78(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = write(tmp_path, 1883, more="sensor: 1\n")
     assert main(["doctor", "--config", config, "--json"]) == EXIT_CONFIG
     found = json.loads(capsys.readouterr().out)
@@ -59,14 +63,26 @@ def test_json_of_bad_settings_is_a_list_and_exit_78(tmp_path: Path, capsys: pyte
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
-        command = [sys.executable, "-m", "tacshade_edge", "doctor", "--config", write(tmp_path, broker.port)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=patience(60), check=False)
+        command = [
+            sys.executable,
+            "-m",
+            "tacshade_edge",
+            "doctor",
+            "--config",
+            write(tmp_path, broker.port),
+        ]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=patience(60), check=False
+        )
     assert (done.returncode, done.stderr) == (EXIT_OK, ""), done.stdout
     assert "fault " not in done.stdout
 
 
 def test_how_a_finding_is_shown() -> None:
-    assert shown(warning("a", "b", "c"), colour=False) == "warning  a                  b\n         -> c"
+    assert (
+        shown(warning("a", "b", "c"), colour=False)
+        == "warning  a                  b\n         -> c"
+    )
     assert shown(fault("a", "b", "c"), colour=True).startswith("\x1b[31mfault  \x1b[0m  a ")
 
 
@@ -79,10 +95,23 @@ def test_of_pictures_it_shows_each_judge_with_its_figures_and_limits(
     for name, picture in pictures.items():
         cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), picture)
     (tmp_path / "in" / "cut.png").write_bytes(b"\x89PNG")
-    words = ["doctor", str(tmp_path / "in"), "--calibration", str(tmp_path / "c.npz"), "--profile", "paper"]
+    words = [
+        "doctor",
+        str(tmp_path / "in"),
+        "--calibration",
+        str(tmp_path / "c.npz"),
+        "--profile",
+        "paper",
+    ]
     assert main(words) == EXIT_FAILED
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[:5]] == ["refused", "refused", "refused", "passes", "refused"]
+    assert [line.split()[0] for line in lines[:5]] == [
+        "refused",
+        "refused",
+        "refused",
+        "passes",
+        "refused",
+    ]
     assert lines[-1] == "1 of 5 pass"
     assert main([*words, "--json"]) == EXIT_FAILED
     found = {Path(each["image"]).stem: each for each in json.loads(capsys.readouterr().out)}
@@ -97,12 +126,20 @@ def test_of_pictures_it_shows_each_judge_with_its_figures_and_limits(
     figures = {each["what"]: each for each in found["dim"]["figures"]}
     assert figures["light of the brightest"]["found"] < figures["light of the brightest"]["least"]
     assert figures["light of the brightest"]["most"] is None
-    assert {each["judge"] for each in found["free"]["figures"]} == {"picture", "light", "camera", "skin"}
+    assert {each["judge"] for each in found["free"]["figures"]} == {
+        "picture",
+        "light",
+        "camera",
+        "skin",
+    }
 
 
 def test_pictures_need_a_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = write(tmp_path, 1883)
-    assert main(["doctor", str(tmp_path / "a.png"), "--config", config, "--profile", "paper"]) == EXIT_OK
+    assert (
+        main(["doctor", str(tmp_path / "a.png"), "--config", config, "--profile", "paper"])
+        == EXIT_OK
+    )
     (tmp_path / "c.npz").unlink()
     assert main(["doctor", str(tmp_path / "a.png"), "--config", config]) == EXIT_CONFIG
     assert "found no file" in capsys.readouterr().err

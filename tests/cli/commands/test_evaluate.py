@@ -19,7 +19,17 @@ from tacshade_edge.studies.evaluate.score import Row
 from tools.testbed.painted_sensor import BLACK, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
-SMALL = ["evaluate", "--objects", "ball", "--presses", "0", "--references", "1", "--profile", "fast"]
+SMALL = [
+    "evaluate",
+    "--objects",
+    "ball",
+    "--presses",
+    "0",
+    "--references",
+    "1",
+    "--profile",
+    "fast",
+]
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -41,17 +51,28 @@ def own(tmp_path: Path) -> Path:
     cv2.imwrite(str(tmp_path / "images" / "coin.png"), TOUCHED)
     rows, cols = np.ogrid[:HEIGHT, :WIDTH]
     contact = np.hypot(rows - 59.5, cols - 79.5) < 20
-    np.savez(tmp_path / "images" / "coin.npz", height_mm=np.where(contact, 2.0, 0.0), contact=contact)
+    np.savez(
+        tmp_path / "images" / "coin.npz", height_mm=np.where(contact, 2.0, 0.0), contact=contact
+    )
     return tmp_path
 
 
 def of_own(folder: Path, *more: str) -> list[str]:
-    return ["evaluate", "--calibration", str(folder / "cal.npz"), "--images", str(folder / "images"), *more]
+    return [
+        "evaluate",
+        "--calibration",
+        str(folder / "cal.npz"),
+        "--images",
+        str(folder / "images"),
+        *more,
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("half")
-def test_the_files_the_table_and_the_same_bytes_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_files_the_table_and_the_same_bytes_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     first, second = tmp_path / "out", tmp_path / "again"
     words = [*SMALL, "--sensors", "half:default", "--out"]
     assert main([*words, str(first)]) == 0
@@ -76,13 +97,20 @@ def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert only_progress(printed.err)
     assert "coin" in printed.out
     (row,) = table(own / "out" / "evaluation.csv")
-    assert (row["sensor"], row["image"], row["object"], row["contact"]) == ("cal.npz", "coin.png", "coin", "1")
+    assert (row["sensor"], row["image"], row["object"], row["contact"]) == (
+        "cal.npz",
+        "coin.png",
+        "coin",
+        "1",
+    )
     summary = json.loads((own / "out" / "evaluation.json").read_text())
     assert summary["settings"]["crc32"] == f"{calibration_file.load(own / 'cal.npz').crc32:08x}"
     assert sorted(p.name for p in (own / "out").iterdir()) == WRITTEN
 
 
-def test_invalid_images_are_refused_one_by_one_and_exit_1(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_images_are_refused_one_by_one_and_exit_1(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name in ("a", "b"):
         cv2.imwrite(str(own / "images" / f"{name}.png"), BLACK)
         (own / "images" / f"{name}.npz").write_bytes((own / "images" / "coin.npz").read_bytes())
@@ -95,7 +123,9 @@ def test_invalid_images_are_refused_one_by_one_and_exit_1(own: Path, capsys: pyt
     assert refused == "2"
 
 
-def test_labelled_frames_of_another_camera_are_said_to_be_so(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labelled_frames_of_another_camera_are_said_to_be_so(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cv2.imwrite(str(own / "images" / "large.png"), np.zeros((2 * HEIGHT, WIDTH), np.uint8))
     (own / "LABELS.csv").write_text("image,depth_mm\nlarge.png,1\n")
     assert main(of_own(own, "--labels", str(own / "LABELS.csv"), "--profile", "fast")) == 1
@@ -104,7 +134,9 @@ def test_labelled_frames_of_another_camera_are_said_to_be_so(own: Path, capsys: 
 
 
 @pytest.mark.slow
-def test_an_image_without_truth_is_one_line_and_exit_1(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_image_without_truth_is_one_line_and_exit_1(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cv2.imwrite(str(own / "images" / "alone.png"), TOUCHED)
     assert main(of_own(own)) == 1
     printed = capsys.readouterr()

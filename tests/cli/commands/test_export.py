@@ -63,7 +63,9 @@ def test_csv_has_a_row_for_each_frame_and_overwrites_nothing(
     assert rows[0]["x_mm"] == rows[0]["touch_depth_mm"] == rows[0]["touch_sigma_depth_mm"] == ""
     assert float(rows[1]["touch_depth_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
     assert float(rows[1]["touch_sigma_depth_mm"]) > 0
-    assert [name for name in rows[0] if name.startswith("touch_sigma_")] == [f"touch_sigma_{name}" for name in PLAIN]
+    assert [name for name in rows[0] if name.startswith("touch_sigma_")] == [
+        f"touch_sigma_{name}" for name in PLAIN
+    ]
     assert rows[3]["reason_code"] == "black"
     written = path.read_text()
     assert export(recording, "csv") == 78
@@ -98,28 +100,57 @@ def test_mcap_opens_in_its_own_library_and_is_replayed_as_the_folder(
     with recording.with_name("rec.mcap").open("rb") as stream:
         opened = reader.make_reader(stream, validate_crcs=True)
         for _, channel, message in opened.iter_messages():
-            messages.setdefault(channel.topic.removeprefix("/tacshade/left-index/"), []).append(message)
+            messages.setdefault(channel.topic.removeprefix("/tacshade/left-index/"), []).append(
+                message
+            )
         attached = {found.name: found.data for found in opened.iter_attachments()}
     counts = {topic: len(found) for topic, found in messages.items()}
-    assert counts == {"camera": 5, "frame": 5, "height": 5, "cloud": 5, "contact": 5, "touch": 5, "tf": 6, "log": 1}
+    assert counts == {
+        "camera": 5,
+        "frame": 5,
+        "height": 5,
+        "cloud": 5,
+        "contact": 5,
+        "touch": 5,
+        "tf": 6,
+        "log": 1,
+    }
     camera = CompressedImage.FromString(messages["camera"][1].data)
-    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(camera.data, np.uint8), cv2.IMREAD_UNCHANGED), TOUCHED)
-    stamps = {messages["camera"][1].log_time, messages["camera"][1].publish_time, camera.timestamp.ToNanoseconds()}
+    np.testing.assert_array_equal(
+        cv2.imdecode(np.frombuffer(camera.data, np.uint8), cv2.IMREAD_UNCHANGED), TOUCHED
+    )
+    stamps = {
+        messages["camera"][1].log_time,
+        messages["camera"][1].publish_time,
+        camera.timestamp.ToNanoseconds(),
+    }
     assert stamps == {WALL_NS + PERIOD_NS}
     height = RawImage.FromString(messages["height"][1].data)
-    assert np.nanmax(np.frombuffer(height.data, "<f4")) == pytest.approx(touched_depth_mm(), abs=1e-6)
+    assert np.nanmax(np.frombuffer(height.data, "<f4")) == pytest.approx(
+        touched_depth_mm(), abs=1e-6
+    )
     cloud = PointCloud.FromString(messages["cloud"][1].data)
     assert len(cloud.data) % cloud.point_stride == 0
     assert [field.offset for field in cloud.fields] == [0, 4, 8, 12]
-    mounted, flange = (FrameTransforms.FromString(message.data).transforms[0] for message in messages["tf"][:2])
-    assert (mounted.parent_frame_id, mounted.child_frame_id) == ("left-index/flange", "left-index/sensor")
+    mounted, flange = (
+        FrameTransforms.FromString(message.data).transforms[0] for message in messages["tf"][:2]
+    )
+    assert (mounted.parent_frame_id, mounted.child_frame_id) == (
+        "left-index/flange",
+        "left-index/sensor",
+    )
     assert (flange.parent_frame_id, flange.translation.x) == ("left-index/base", pytest.approx(0.1))
     assert json.loads(messages["contact"][1].data)["t_ns"] == T_NS + PERIOD_NS
     free, touched = (json.loads(message.data) for message in messages["touch"][:2])
     assert (free["touch"], list(touched["touch"])) == (None, list(PLAIN))
     log = Log.FromString(messages["log"][0].data)
     assert (log.message[:7], log.timestamp.ToNanoseconds()) == ("start: ", WALL_NS - 1)
-    assert sorted(attached) == ["calibration.npz", "events.jsonl", "recording.json", "settings.yaml"]
+    assert sorted(attached) == [
+        "calibration.npz",
+        "events.jsonl",
+        "recording.json",
+        "settings.yaml",
+    ]
     assert attached["calibration.npz"] == (recording / "calibration.npz").read_bytes()
 
     mcap, first, second = (str(recording.with_name(name)) for name in ("rec.mcap", "a", "b"))
@@ -129,10 +160,14 @@ def test_mcap_opens_in_its_own_library_and_is_replayed_as_the_folder(
     # It has its own calibration too.
     assert export(Path(mcap), "csv", "--out", str(recording.with_name("again.csv"))) == 0
     assert export(recording, "csv") == 0
-    assert recording.with_name("again.csv").read_bytes() == recording.with_name("rec.csv").read_bytes()
+    assert (
+        recording.with_name("again.csv").read_bytes() == recording.with_name("rec.csv").read_bytes()
+    )
 
 
-def test_an_unreadable_image_is_left_out_and_reported(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_image_is_left_out_and_reported(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (recording / "000002.png").write_bytes(b"no image")
     assert export(recording, "csv") == 1
     said = capsys.readouterr()
@@ -140,7 +175,9 @@ def test_an_unreadable_image_is_left_out_and_reported(recording: Path, capsys: p
     assert said.out.endswith("4 frames, 1 in contact, 1 invalid, 1 unreadable\n")
 
 
-def test_without_a_calibration_it_asks_for_one(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_calibration_it_asks_for_one(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (recording / "calibration.npz").unlink()
     assert export(recording, "csv") == 78
     assert "pass --calibration CAL.npz" in capsys.readouterr().err
@@ -157,12 +194,18 @@ def test_a_missing_extra_is_named(
 
 
 @pytest.mark.slow
-def test_recordings_of_a_hands_fingers_are_its_messages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recordings_of_a_hands_fingers_are_its_messages(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fingers = [str(path) for path in record_hand(tmp_path)]
     assert main(["export", *fingers, "--to", "csv", "--out", str(tmp_path / "hand.csv")]) == 0
     rows = table(tmp_path / "hand.csv")
-    assert capsys.readouterr().out == f"{tmp_path / 'hand.csv'}: {len(rows)} messages of 2 fingers\n"
-    (touching, *_) = (row for row in rows if row["left-thumb_state"] == row["left-index_state"] == "contact")
+    assert (
+        capsys.readouterr().out == f"{tmp_path / 'hand.csv'}: {len(rows)} messages of 2 fingers\n"
+    )
+    (touching, *_) = (
+        row for row in rows if row["left-thumb_state"] == row["left-index_state"] == "contact"
+    )
     assert float(touching["left-index_depth_max_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
     assert float(touching["translation_x_mm"]) == pytest.approx(0, abs=0.01)
     assert float(touching["sigma_rotation_x_deg"]) > 0
@@ -192,6 +235,8 @@ def test_mcaps_of_a_hand_and_of_a_finger_have_their_names(tmp_path: Path) -> Non
         (("--to", "csv", "--calibration", "c.npz"), "--calibration: "),
     ],
 )
-def test_what_does_not_go_with_a_hand(more: tuple[str, ...], option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_does_not_go_with_a_hand(
+    more: tuple[str, ...], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["export", "a", "b", *more]) == 78
     assert capsys.readouterr().err.startswith(f"tacshade-edge: {option}")

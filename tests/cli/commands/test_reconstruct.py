@@ -41,23 +41,34 @@ def words(folder: Path, out: Path, *names: str) -> list[str]:
 
 
 def summary(out: Path) -> dict[str, dict[str, Any]]:
-    return {Path(record["image"]).stem: record for record in json.loads((out / "summary.json").read_text())}
+    return {
+        Path(record["image"]).stem: record
+        for record in json.loads((out / "summary.json").read_text())
+    }
 
 
 @pytest.mark.parametrize("profile", ["paper", "balanced"])
 def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, profile: str) -> None:
-    assert main([*words(folder, tmp_path, "ball", "two", "free", "black"), "--profile", profile]) == 1
+    assert (
+        main([*words(folder, tmp_path, "ball", "two", "free", "black"), "--profile", profile]) == 1
+    )
     records = summary(tmp_path)
     assert list(records) == ["ball", "two", "free", "black"]
     grid, inside = reconstructor(profile).grid, reconstructor(profile).rays.inside
     for name, record in records.items():
         with np.load(tmp_path / f"{name}.npz") as npz:
             content = {key: npz[key] for key in npz.files}
-        height, contact, points, labels = (content[k] for k in ("height_mm", "contact", "points_mm", "labels"))
+        height, contact, points, labels = (
+            content[k] for k in ("height_mm", "contact", "points_mm", "labels")
+        )
         assert (height.dtype, contact.dtype, points.dtype) == (np.float32, np.bool_, np.float32)
         assert np.issubdtype(labels.dtype, np.integer)
         assert height.shape == contact.shape == inside.shape
-        assert (content["row0"], content["col0"], content["step_px"]) == (grid.row0, grid.col0, grid.step_px)
+        assert (content["row0"], content["col0"], content["step_px"]) == (
+            grid.row0,
+            grid.col0,
+            grid.step_px,
+        )
         assert ("sigma_mm" in content) == (profile != "paper")
         if profile != "paper":
             assert content["sigma_mm"].dtype == np.float32
@@ -86,7 +97,9 @@ def test_the_files_keep_their_contract(folder: Path, tmp_path: Path, profile: st
     assert records["black"]["reason"].startswith("black")
 
 
-def test_objects_and_depth_of_fast(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_objects_and_depth_of_fast(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*words(folder, tmp_path, "ball", "two"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == list(summary(tmp_path).values())
@@ -106,17 +119,25 @@ def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
     out = tmp_path / "out"
     assert main([*words(folder, out, "none", "free"), str(given), "--plot"]) == 1
     printed = capsys.readouterr()
-    assert printed.out == f"{out}: 2 of 6 images reconstructed, 1 in contact, 2 invalid, 2 unreadable\n"
+    assert (
+        printed.out
+        == f"{out}: 2 of 6 images reconstructed, 1 in contact, 2 invalid, 2 unreadable\n"
+    )
     none, black, cut, other = without_progress(printed.err)
     assert "none.png: No such file" in none
     assert black.startswith(f"tacshade-edge: {given}/black.png: invalid: black")
     assert "cut.png: found an image cut short after 5000 bytes" in cut
-    assert other.endswith("other.png: invalid: size: found 320x220 px, expected the calibration's 320x240 px")
+    assert other.endswith(
+        "other.png: invalid: size: found 320x220 px, expected the calibration's 320x240 px"
+    )
     assert list(summary(out)) == ["free", "ball", "black", "other"]
     with np.load(out / "other.npz") as npz:
         np.testing.assert_array_equal(npz["height_mm"] == 0, reconstructor("balanced").rays.inside)
     for name in ("ball", "black"):
-        assert cv2.imread(str(out / f"{name}.png")).shape[1] == 3 * (LEFT_PX + RIGHT_PX) + 2 * 320 + BAR_WIDTH_PX
+        assert (
+            cv2.imread(str(out / f"{name}.png")).shape[1]
+            == 3 * (LEFT_PX + RIGHT_PX) + 2 * 320 + BAR_WIDTH_PX
+        )
     assert cv2.imread(str(out / "contact-sheet.png")) is not None
     (tmp_path / "empty").mkdir()
     assert main([*words(folder, out), str(tmp_path / "empty")]) == 78

@@ -61,8 +61,20 @@ def start(tmp_path: Path, broker: Broker, seen: Subscriber) -> Iterator[Start]:
     children: list[Child] = []
 
     def started(*words: str) -> Child:
-        command = [sys.executable, "-m", "tacshade_edge", words[0], "--config", str(tmp_path / "s.yaml"), *words[1:]]
-        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+        command = [
+            sys.executable,
+            "-m",
+            "tacshade_edge",
+            words[0],
+            "--config",
+            str(tmp_path / "s.yaml"),
+            *words[1:],
+        ]
+        pipes: dict[str, Any] = {
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.PIPE,
+            "stdin": subprocess.DEVNULL,
+        }
         children.append(subprocess.Popen(command, text=True, **pipes))
         if words[0] == "run":
             seen.wait_for(f"{BASE}/height", 1, 20)
@@ -86,7 +98,9 @@ def signals() -> Iterator[None]:
 def write_settings(folder: Path, port: int) -> None:
     source = "source: {kind: files, path: images, fps: 30, loop: true}"
     broker = f"mqtt: {{host: 127.0.0.1, port: {port}}}"
-    (folder / "s.yaml").write_text(f"calibration: c.npz\n{source}\n{broker}\nrecorder: {{folder: recs}}\n")
+    (folder / "s.yaml").write_text(
+        f"calibration: c.npz\n{source}\n{broker}\nrecorder: {{folder: recs}}\n"
+    )
 
 
 def record(folder: Path, seconds: str, *more: str) -> int:
@@ -100,7 +114,10 @@ def about(folder: Path) -> dict[str, Any]:
 
 def replayed(rec: Path, out: Path) -> list[wire.HeightMessage]:
     """The heights of a replay of a recording with the calibration beside it."""
-    assert main(["replay", str(rec), "--calibration", str(rec / "calibration.npz"), "--out", str(out)]) == 0
+    assert (
+        main(["replay", str(rec), "--calibration", str(rec / "calibration.npz"), "--out", str(out)])
+        == 0
+    )
     heights = [wire.decode(payload) for payload in payloads(out, HEIGHTS)]
     return [height for height in heights if isinstance(height, wire.HeightMessage)]
 
@@ -117,7 +134,10 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     assert record(tmp_path, "2", "--name", "a") == 0
     rec = tmp_path / "recs" / "a"
     written = about(rec)
-    assert capsys.readouterr() == (f"{rec}: {written['frames']} frames, {written['bytes'] / 1e6:.1f} MB\n", "")
+    assert capsys.readouterr() == (
+        f"{rec}: {written['frames']} frames, {written['bytes'] / 1e6:.1f} MB\n",
+        "",
+    )
     assert (written["dropped"], written["ending"]) == (0, "time")
     assert not list(rec.glob("*.part"))
     again = {height.t_ns: height for height in replayed(rec, tmp_path / "run")}
@@ -130,10 +150,17 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
         assert isinstance(height, wire.HeightMessage)
         assert height.height_mm.tobytes() == again[height.t_ns].height_mm.tobytes()
         assert height.pose == again[height.t_ns].pose
-        assert (height.contact, height.calibration_crc32) == (again[height.t_ns].contact, written["calibration_crc32"])
+        assert (height.contact, height.calibration_crc32) == (
+            again[height.t_ns].contact,
+            written["calibration_crc32"],
+        )
     settings, kept = load(tmp_path / "s.yaml").settings, load(rec / "settings.yaml").settings
     assert kept.calibration == str(rec / "calibration.npz")
-    assert (kept.source, kept.mqtt, kept.recorder) == (settings.source, settings.mqtt, settings.recorder)
+    assert (kept.source, kept.mqtt, kept.recorder) == (
+        settings.source,
+        settings.mqtt,
+        settings.recorder,
+    )
 
     capsys.readouterr()  # a slow replay's progress
     assert record(tmp_path, "1", "--name", "a") == 1
@@ -169,8 +196,16 @@ def test_what_cannot_be_asked_is_one_line(
     tmp_path: Path, broker: Broker, start: Start, capsys: pytest.CaptureFixture[str]
 ) -> None:
     port = free_port()
-    cases = [(broker.port, f"127.0.0.1:{broker.port}: no answer from sensor tacshade within 3 s; is the daemon ")]
-    cases += [(port, f"127.0.0.1:{port}: Connection refused; expected a broker"), (broker.port, f"{tmp_path}/recs: ")]
+    cases = [
+        (
+            broker.port,
+            f"127.0.0.1:{broker.port}: no answer from sensor tacshade within 3 s; is the daemon ",
+        )
+    ]
+    cases += [
+        (port, f"127.0.0.1:{port}: Connection refused; expected a broker"),
+        (broker.port, f"{tmp_path}/recs: "),
+    ]
     for at, said in cases:
         write_settings(tmp_path, at)
         if said.endswith("recs: "):

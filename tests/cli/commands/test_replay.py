@@ -43,7 +43,9 @@ def summary(run: Path) -> list[dict[str, Any]]:
     return records
 
 
-def test_every_frame_by_the_recordings_clock(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_frame_by_the_recordings_clock(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = folder / "out"
     assert main(words(folder, "--out", str(out))) == 0
     printed = capsys.readouterr().out
@@ -83,7 +85,9 @@ def test_a_second_run_is_compared(folder: Path, capsys: pytest.CaptureFixture[st
     said = f"{second} differs from {first}: frame 2 (000002.png): contact: False, against True"
     lines = capsys.readouterr().out.splitlines()[1:]
     assert lines[:2] == [said, "  contact: differs in 1 of 5 frames, first frame 2 (000002.png)"]
-    depth = re.fullmatch(r"  depth_max_mm: mean ([0-9.]+), worst ([0-9.]+) mm apart in frame 2 .*", lines[2])
+    depth = re.fullmatch(
+        r"  depth_max_mm: mean ([0-9.]+), worst ([0-9.]+) mm apart in frame 2 .*", lines[2]
+    )
     assert depth is not None
     assert float(depth[1]) == pytest.approx(touched_depth_mm() / 5, abs=1e-3)
     assert float(depth[2]) == pytest.approx(touched_depth_mm(), abs=1e-3)
@@ -100,12 +104,21 @@ def test_a_loop_is_one_longer_run(folder: Path) -> None:
 
 def test_a_paced_replay_keeps_the_recordings_time_and_bytes(folder: Path) -> None:
     assert main(words(folder, "--out", str(folder / "a"))) == 0
-    assert main(words(folder, "--out", str(folder / "b"), "--speed", "0.2", "--against", str(folder / "a"))) == 0
+    assert (
+        main(
+            words(
+                folder, "--out", str(folder / "b"), "--speed", "0.2", "--against", str(folder / "a")
+            )
+        )
+        == 0
+    )
     seconds = json.loads((folder / "b" / "timings.json").read_text())["seconds"]
     assert seconds >= 0.2  # the last frame is due after 40 ms of the recording, five times as slow
 
 
-def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_image_does_not_stop_the_others(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (folder / "rec" / "000001.png").write_bytes(b"torn")
     assert main(words(folder, "--out", str(folder / "out"))) == 1
     err = capsys.readouterr().err
@@ -114,7 +127,9 @@ def test_an_unreadable_image_does_not_stop_the_others(folder: Path, capsys: pyte
     assert [r["seq"] for r in summary(folder / "out")] == [0, 2, 3, 4]
 
 
-def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_files_are_one_line_and_leave_no_run(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = folder / "out"
     write_recording(folder / "large", [cv2.resize(FREE, (320, 240))])
     write_recording(folder / "wrong", IMAGES)
@@ -126,10 +141,26 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
             78,
             "found 320x240 px, expected the calibration's 160x120 px",
         ),
-        (words(folder, "--out", str(out), recording="wrong"), 78, "frames.csv:1: found the header image,t_ns"),
-        (words(folder, "--out", str(out), recording="none"), 78, "none: found nothing, expected a folder of images"),
-        ([*words(folder, "--out", str(out))[:3], str(folder / "cut.npz"), "--out", str(out)], 78, "not a calibration"),
-        (words(folder, "--out", str(folder / "cal.npz")), 1, "cal.npz: cannot write it: File exists"),
+        (
+            words(folder, "--out", str(out), recording="wrong"),
+            78,
+            "frames.csv:1: found the header image,t_ns",
+        ),
+        (
+            words(folder, "--out", str(out), recording="none"),
+            78,
+            "none: found nothing, expected a folder of images",
+        ),
+        (
+            [*words(folder, "--out", str(out))[:3], str(folder / "cut.npz"), "--out", str(out)],
+            78,
+            "not a calibration",
+        ),
+        (
+            words(folder, "--out", str(folder / "cal.npz")),
+            1,
+            "cal.npz: cannot write it: File exists",
+        ),
         (["replay", "--out", str(out), "--against", str(out)], 78, "summary.json: No such file"),
     ]
     for given, code, said in cases:
@@ -144,7 +175,9 @@ def test_bad_files_are_one_line_and_leave_no_run(folder: Path, capsys: pytest.Ca
 def test_an_interrupted_run_leaves_nothing(folder: Path) -> None:
     out = folder / "out"
     given = words(folder, "--out", str(out), "--speed", "1", "--loop", "1000")
-    child = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        [*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     heights = out / "heights.bin.part"
     try:
         wait_until(lambda: heights.exists() and heights.stat().st_size > 0, 30, "the run has begun")
@@ -165,10 +198,16 @@ MOST_OUTSIDE, MOST_TIMES = 4, 2.5
 out, by up to 0.022 mm in depth and 0.025 mm in the centroid."""
 
 
-def differences(run: list[dict[str, Any]], golden: list[dict[str, Any]], times: float = 1.0) -> list[int]:
+def differences(
+    run: list[dict[str, Any]], golden: list[dict[str, Any]], times: float = 1.0
+) -> list[int]:
     """The frames that left the tolerances, or these times them."""
     assert len(run) == len(golden)
-    return [k for k, (mine, theirs) in enumerate(zip(run, golden, strict=True)) if not _alike(mine, theirs, times)]
+    return [
+        k
+        for k, (mine, theirs) in enumerate(zip(run, golden, strict=True))
+        if not _alike(mine, theirs, times)
+    ]
 
 
 def _alike(mine: dict[str, Any], theirs: dict[str, Any], times: float) -> bool:

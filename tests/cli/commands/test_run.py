@@ -48,7 +48,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def settings(
-    folder: Path, port: int, source: str = IMAGES, *, calibration: str = "c.npz", mqtt: str = "", more: str = ""
+    folder: Path,
+    port: int,
+    source: str = IMAGES,
+    *,
+    calibration: str = "c.npz",
+    mqtt: str = "",
+    more: str = "",
 ) -> Path:
     path = folder / "settings.yaml"
     broker = f"mqtt: {{host: 127.0.0.1, port: {port}{mqtt}}}"
@@ -87,7 +93,11 @@ def stop(child: Child, lines: Lines) -> None:
 
 def warnings(lines: Lines, *parts: str) -> list[str]:
     """The warnings with all of these parts."""
-    return [line for line in lines() if line.startswith("WARNING ") and all(part in line for part in parts)]
+    return [
+        line
+        for line in lines()
+        if line.startswith("WARNING ") and all(part in line for part in parts)
+    ]
 
 
 def state(seen: Subscriber) -> str:
@@ -100,7 +110,9 @@ def test_a_signal_stops_it_cleanly(folder: Path, start: Start) -> None:
         child, lines = start(settings(folder, broker.port))
         seen.wait_for(f"{BASE}/height", 20, 15)
         heights = [wire.decode(p) for p in seen.of(f"{BASE}/height")]
-        deepest = max(float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage))
+        deepest = max(
+            float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage)
+        )
         assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
         assert state(seen) == "online"
         stop(child, lines)
@@ -120,17 +132,25 @@ def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Start) -> Non
 def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, start: Start) -> None:
     port = free_port()
     child, lines = start(settings(folder, port, f"{CAMERA}, device: /dev/video99"))
-    wait_until(lambda: warnings(lines, "/dev/video99") and warnings(lines, "refused"), 20, "the lines")
+    wait_until(
+        lambda: warnings(lines, "/dev/video99") and warnings(lines, "refused"), 20, "the lines"
+    )
     threading.Event().wait(1.5)  # more attempts
     stop(child, lines)
     (camera,), (broker,) = warnings(lines, "/dev/video99"), warnings(lines, "refused")
-    assert camera.startswith("WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device")
-    assert broker.startswith(f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused")
+    assert camera.startswith(
+        "WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device"
+    )
+    assert broker.startswith(
+        f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused"
+    )
     assert "; to fix it: " in camera
     assert "; to fix it: " in broker
 
 
-def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(folder: Path, start: Start) -> None:
+def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(
+    folder: Path, start: Start
+) -> None:
     (folder / "void").mkdir()
     child, lines = start(settings(folder, free_port(), "kind: files, path: void"))
     assert child.wait(patience(20)) == 78
@@ -147,7 +167,9 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
         "entry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings(folder, free_port()))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(20), check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=patience(20), check=False
+    )
     assert done.returncode == 1
     assert "Traceback" in done.stderr
     assert done.stderr.rstrip().endswith("ZeroDivisionError: a defect\nin thread grab")
@@ -159,7 +181,14 @@ def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
         path.unlink()
     with Broker(folder) as broker, Subscriber(broker.port, "tacshade/+/health") as seen:
         _, lines = start(settings(folder, broker.port), "-q")
-        wait_until(lambda: b'"without_contact": 0' not in b"".join(m.payload for m in seen.messages[-1:]) != b"", 20)
+        wait_until(
+            lambda: (
+                b'"without_contact": 0'
+                not in b"".join(m.payload for m in seen.messages[-1:])
+                != b""
+            ),
+            20,
+        )
         assert lines() == []
 
 
@@ -169,7 +198,17 @@ import json, sys
 from tacshade_edge import cli
 print(json.dumps([cli.main(sys.argv[1:]), *sys.modules]))
 """
-OTHERS = {"scipy", "matplotlib", "skimage", "PIL", "serial", "websockets", "iotcore", "sklearn", "torch"}
+OTHERS = {
+    "scipy",
+    "matplotlib",
+    "skimage",
+    "PIL",
+    "serial",
+    "websockets",
+    "iotcore",
+    "sklearn",
+    "torch",
+}
 # Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
 COMMANDS, ON_DEMAND, POSES = (
     "simulator studies dashboard doctor daemon.replay",
@@ -185,7 +224,9 @@ def imported(folder: Path, profile: str) -> set[str]:
     source = "kind: files, path: images, fps: 100"
     config = settings(folder, free_port(), source, more=f"profile: {profile}\n")
     command = [sys.executable, "-c", RUN, "run", "--config", str(config)]
-    code, *modules = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    code, *modules = json.loads(
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    )
     assert code == 0
     return set(modules)
 
@@ -198,7 +239,9 @@ def test_imports_follow_the_settings(folder: Path) -> None:
     for modules in (network, paper):
         assert "tacshade_edge.storage.recording.image_source" in modules
         assert modules & (OTHERS | OWN | STITCHING) == ({"scipy"} if modules is paper else set())
-    (folder / "images" / "frames.csv").write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n")
+    (folder / "images" / "frames.csv").write_text(
+        "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n"
+    )
     posed = imported(folder, "fast")
     assert posed >= STITCHING
     assert posed & (OTHERS | OWN) == set()

@@ -30,8 +30,21 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["simulate", "--out", str(tmp_path), "--objects", "none,cube", "--depth", "3", "--position", "-3", "1"]
+def test_scenes_have_images_and_their_ground_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "simulate",
+        "--out",
+        str(tmp_path),
+        "--objects",
+        "none,cube",
+        "--depth",
+        "3",
+        "--position",
+        "-3",
+        "1",
+    ]
     assert main([*words, "--drag", "2", "-1", "--twist", "8", "--tilt", "5", "0"]) == 0
     printed = capsys.readouterr()
     assert printed.out.startswith(
@@ -40,7 +53,13 @@ def test_scenes_have_images_and_their_ground_truth(tmp_path: Path, capsys: pytes
     assert only_progress(printed.err)
     none, cube = table(tmp_path / "scenes.csv")
     assert (none["object"], float(none["depth_max_mm"])) == ("none", 0.0)
-    stated = {"depth_mm": "3.0", "x_mm": "-3.0", "y_mm": "1.0", "drag_x_mm": "2.0", "twist_deg": "8.0"}
+    stated = {
+        "depth_mm": "3.0",
+        "x_mm": "-3.0",
+        "y_mm": "1.0",
+        "drag_x_mm": "2.0",
+        "twist_deg": "8.0",
+    }
     assert {name: cube[name] for name in stated} == stated
     image = cv2.imread(str(tmp_path / cube["image"]))
     with np.load(tmp_path / Path(none["image"]).with_suffix(".npz")) as truth:
@@ -62,7 +81,10 @@ def test_a_calibration_set_is_complete_repeatable_and_its_commands_run(
 ) -> None:
     one, two = tmp_path / "one", tmp_path / "my practice"
     for folder in (one, two):
-        assert main(["simulate", "--calibration-set", str(folder), "--presses", "8", "--seed", "5"]) == 0
+        assert (
+            main(["simulate", "--calibration-set", str(folder), "--presses", "8", "--seed", "5"])
+            == 0
+        )
     assert set(yaml.safe_load((one / "SENSOR.yaml").read_text())) == {
         *("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg", "polarity")
     }
@@ -117,7 +139,16 @@ def test_what_cannot_be_is_one_line(
 ) -> None:
     (tmp_path / "FILE").write_text("a file in the way")
     assert (
-        main(["simulate", *(str(tmp_path / word) if word.isupper() or "/" in word else word for word in words)]) == code
+        main(
+            [
+                "simulate",
+                *(
+                    str(tmp_path / word) if word.isupper() or "/" in word else word
+                    for word in words
+                ),
+            ]
+        )
+        == code
     )
     error = capsys.readouterr().err
     assert error.count("\n") == 1

@@ -70,10 +70,15 @@ def test_the_files_keep_their_contract_and_come_out_the_same_again(
 
 
 def test_noisy_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(words(folder, tmp_path, "--truth", str(folder / "PAD.npz"), poses="POSES_NOISY.csv")) == 0
+    assert (
+        main(words(folder, tmp_path, "--truth", str(folder / "PAD.npz"), poses="POSES_NOISY.csv"))
+        == 0
+    )
     printed = capsys.readouterr().out
     assert json.loads((tmp_path / "map.json").read_text())["refined"]
-    assert all(said in printed for said in ("poses refined", "not refined: RMS", "paper's average: RMS"))
+    assert all(
+        said in printed for said in ("poses refined", "not refined: RMS", "paper's average: RMS")
+    )
 
 
 def recorded(folder: Path, path: Path, *, poses: bool = True) -> Path:
@@ -97,12 +102,16 @@ def test_a_recording_is_the_presses_in_it(folder: Path, tmp_path: Path) -> None:
     (recording / "POSES.csv").write_text("\n".join(lines) + "\n")
     given = ["stitch", "--calibration", str(folder / "cal.npz"), "--profile", "fast"]
     assert main([*given, "--recording", str(recording), "--out", str(tmp_path / "a")]) == 0
-    assert main([*given, "--poses", str(recording / "POSES.csv"), "--out", str(tmp_path / "b")]) == 0
+    assert (
+        main([*given, "--poses", str(recording / "POSES.csv"), "--out", str(tmp_path / "b")]) == 0
+    )
     assert (tmp_path / "a" / "map.ply").read_bytes() == (tmp_path / "b" / "map.ply").read_bytes()
     assert json.loads((tmp_path / "a" / "map.json").read_text())["used"] == 3
 
 
-def test_images_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_that_cannot_be_used(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shutil.copytree(folder, tmp_path / "pad")
     cv2.imwrite(str(tmp_path / "pad" / "press_0000.png"), unloaded())
     (tmp_path / "pad" / "press_0001.png").unlink()
@@ -124,7 +133,9 @@ def untouched(pad: Path) -> None:
 
 def no_number(pad: Path) -> None:
     first, second, *rest = (pad / "POSES.csv").read_text().splitlines()
-    (pad / "POSES.csv").write_text("\n".join((first, second.replace(second.split(",")[1], "nan"), *rest)))
+    (pad / "POSES.csv").write_text(
+        "\n".join((first, second.replace(second.split(",")[1], "nan"), *rest))
+    )
 
 
 @pytest.mark.parametrize(
@@ -132,11 +143,19 @@ def no_number(pad: Path) -> None:
     [
         (untouched, (), "no contact"),
         (no_number, ("--find-flange",), "POSES.csv:2: x_mm: "),
-        (lambda pad: (pad / "PAD.npz").write_text("nothing"), ("--truth", "{pad}/PAD.npz"), "PAD.npz: "),
+        (
+            lambda pad: (pad / "PAD.npz").write_text("nothing"),
+            ("--truth", "{pad}/PAD.npz"),
+            "PAD.npz: ",
+        ),
         (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y, z"),
         (lambda _: None, ("--find-flange", "--truth", "{pad}/PAD.npz"), "--truth: "),
         (lambda pad: recorded(pad, pad / "rec", poses=False), ("--recording", "{pad}/rec"), ""),
-        (lambda pad: recorded(pad, pad / "rec"), ("--find-flange", "--recording", "{pad}/rec"), "expected at least 12"),
+        (
+            lambda pad: recorded(pad, pad / "rec"),
+            ("--find-flange", "--recording", "{pad}/rec"),
+            "expected at least 12",
+        ),
     ],
 )
 def test_what_cannot_be_stitched_is_one_line(
@@ -160,7 +179,10 @@ def test_what_cannot_be_stitched_is_one_line(
 
 
 def test_presses_too_far_apart_and_a_folder_that_cannot_be_written(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1
@@ -171,24 +193,32 @@ def test_presses_too_far_apart_and_a_folder_that_cannot_be_written(
     assert "the map would exceed 2 tiles of 16 mm" in line
 
 
-def report_flange(tmp_path: Path, *, start: Rigid = START, as_json: bool = False, moves: bool = True) -> None:
+def report_flange(
+    tmp_path: Path, *, start: Rigid = START, as_json: bool = False, moves: bool = True
+) -> None:
     frames = exact_frames(TRUE, 20.0, moving=moves)
     stitch.report_flange(frames, start, APEX_MM, tmp_path, "POSES.csv", as_json=as_json)
 
 
-def test_the_flange_that_is_printed_goes_into_the_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_flange_that_is_printed_goes_into_the_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     report_flange(tmp_path)
     first, settings, delay = capsys.readouterr().out.splitlines()
     about = json.loads((tmp_path / "flange.json").read_text())
     assert about["flange_T_sensor"] == pytest.approx(TRUE.seven(), abs=0.3)
     assert first.startswith(f"{tmp_path / 'flange.json'}: 100 presses; 9.")
     line = settings.partition("flange_T_sensor: [")[2].partition("]")[0]
-    assert [float(value) for value in line.split(",")] == pytest.approx(about["flange_T_sensor"], rel=1e-5, abs=1e-5)
+    assert [float(value) for value in line.split(",")] == pytest.approx(
+        about["flange_T_sensor"], rel=1e-5, abs=1e-5
+    )
     assert delay.startswith("delay: frames are stamped ")
     assert about["delay_ms"] == pytest.approx(20, abs=5)
 
 
-def test_without_motion_the_delay_is_null(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_motion_the_delay_is_null(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     report_flange(tmp_path, moves=False, as_json=True)
     about = json.loads(capsys.readouterr().out)
     assert about == json.loads((tmp_path / "flange.json").read_text())

@@ -29,12 +29,23 @@ def own(tmp_path: Path) -> Path:
     coin = np.hypot(rows - 59.5, cols - 79.5) < 20
     for name, image, contact in (("coin", TOUCHED, coin), ("none", FREE, 0 * coin > 0)):
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), image)
-        np.savez(tmp_path / "images" / f"{name}.npz", height_mm=np.where(contact, 2.0, 0.0), contact=contact)
+        np.savez(
+            tmp_path / "images" / f"{name}.npz",
+            height_mm=np.where(contact, 2.0, 0.0),
+            contact=contact,
+        )
     return tmp_path
 
 
 def of_own(folder: Path, *more: str) -> list[str]:
-    return ["tradeoff", "--calibration", str(folder / "cal.npz"), "--images", str(folder / "images"), *more]
+    return [
+        "tradeoff",
+        "--calibration",
+        str(folder / "cal.npz"),
+        "--images",
+        str(folder / "images"),
+        *more,
+    ]
 
 
 @pytest.mark.slow  # it starts interpreters
@@ -42,7 +53,9 @@ def test_own_images_the_files_and_the_settings(
     own: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tradeoff, "BUSY", 1e9)  # this machine may be
-    words = of_own(own, "--profile", "fast", "--out", str(own / "out"), "--plot", "--budget-ms", "10000")
+    words = of_own(
+        own, "--profile", "fast", "--out", str(own / "out"), "--plot", "--budget-ms", "10000"
+    )
     assert main(words) == 0
     printed = capsys.readouterr()
     assert only_progress(printed.err)
@@ -51,13 +64,17 @@ def test_own_images_the_files_and_the_settings(
     assert sorted(p.name for p in (own / "out").iterdir()) == written
     assert (own / "out" / "tradeoff.md").read_text() in printed.out
     rows = json.loads((own / "out" / "tradeoff.json").read_text())["rows"]
-    assert {(each["scenes"], each["missed"], each["untouched"], each["phantoms"]) for each in rows} == {(1, 0, 1, 0)}
+    assert {
+        (each["scenes"], each["missed"], each["untouched"], each["phantoms"]) for each in rows
+    } == {(1, 0, 1, 0)}
     assert [each["outputs"] for each in rows[::2]] == [
         *("contact", "height", "cloud", "shear", "sigma", "contact height cloud shear sigma")
     ]
 
 
-def judged_nothing(monkeypatch: pytest.MonkeyPatch, rows: Sequence[Row], busy: float = 1.0) -> list[Sequence[Setting]]:
+def judged_nothing(
+    monkeypatch: pytest.MonkeyPatch, rows: Sequence[Row], busy: float = 1.0
+) -> list[Sequence[Setting]]:
     """Replace the work by these rows; return the settings asked for."""
     asked: list[Sequence[Setting]] = []
     touched = Judged("s", TOUCHED, True, np.ones(1, bool), np.zeros((1, 6)))
@@ -73,9 +90,22 @@ def judged_nothing(monkeypatch: pytest.MonkeyPatch, rows: Sequence[Row], busy: f
     return asked
 
 
-def test_a_need_that_nothing_holds_exits_1(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_need_that_nothing_holds_exits_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     judged_nothing(monkeypatch, [row("fast", 0.2, 1.0)], busy=3.0)
-    words = ["tradeoff", "--outputs", "height", "--fps", "60", "--fingers", "100", "--json", "--sensors", "default"]
+    words = [
+        "tradeoff",
+        "--outputs",
+        "height",
+        "--fps",
+        "60",
+        "--fingers",
+        "100",
+        "--json",
+        "--sensors",
+        "default",
+    ]
     assert main(words) == 1
     printed = capsys.readouterr()
     busy, nothing = without_progress(printed.err)
@@ -87,7 +117,9 @@ def test_a_need_that_nothing_holds_exits_1(capsys: pytest.CaptureFixture[str], m
 def test_the_report_of_a_board_names_no_host(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = judged_nothing(monkeypatch, [row(name, 0.2, 1.0) for name in ("fast", "balanced", "accurate")])
+    asked = judged_nothing(
+        monkeypatch, [row(name, 0.2, 1.0) for name in ("fast", "balanced", "accurate")]
+    )
     assert main(["tradeoff", "--report"]) == 0
     assert {each.profile for each in asked[0]} == {"fast", "balanced", "accurate"}
     printed = capsys.readouterr().out
@@ -123,7 +155,9 @@ def test_wrong_usage(words: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_not_there_is_one_line_before_the_work(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_there_is_one_line_before_the_work(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for path in (own / "images").glob("coin.*"):
         path.unlink()
     assert main(of_own(own)) == 78

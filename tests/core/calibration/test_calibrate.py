@@ -29,14 +29,18 @@ def test_references_alone_give_what_images_tell() -> None:
     assert calibration.alpha == 15.0
     assert calibration.fit is None
     assert 0.2 < calibration.noise_grey < 3
-    outside = np.hypot(np.arange(240)[:, None] - HALF.row_c, np.arange(320)[None, :] - HALF.col_c) > 104
+    outside = (
+        np.hypot(np.arange(240)[:, None] - HALF.row_c, np.arange(320)[None, :] - HALF.col_c) > 104
+    )
     assert not calibration.reference_white[outside].any()
 
 
 def test_references_that_cannot_be_used() -> None:
     with pytest.raises(ConfigError, match="no reference image"):
         calibrate(SENSOR, [])
-    with pytest.raises(ConfigError, match="reference 2: found 320x239 px, expected 320x240 px as in the first"):
+    with pytest.raises(
+        ConfigError, match="reference 2: found 320x239 px, expected 320x240 px as in the first"
+    ):
         calibrate(SENSOR, [references()[0], references()[1][:-1]])
     for image in (unloaded() * 0, unloaded() * 0 + 255, np.zeros((1, 1), np.uint8)):
         with pytest.raises(ConfigError, match="in the reference"):
@@ -78,7 +82,11 @@ def without_numbers(lines: Sequence[str]) -> list[str]:
 def calibrated_at(radius_mm: float) -> CalibrationResult:
     """`HALF` as if it had another radius; depths too great, one depth and one place wrong."""
     by = radius_mm / HALF.skin_radius_mm
-    stated = sensor_of(replace(HALF, skin_radius_mm=radius_mm, camera_distance_mm=by * (HALF.camera_distance_mm or 0)))
+    stated = sensor_of(
+        replace(
+            HALF, skin_radius_mm=radius_mm, camera_distance_mm=by * (HALF.camera_distance_mm or 0)
+        )
+    )
 
     def press(k: int, p: KnownPress) -> KnownPress:
         return replace(
@@ -90,7 +98,9 @@ def calibrated_at(radius_mm: float) -> CalibrationResult:
         )
 
     table = [press(k, p) for k, p in enumerate(presses())]
-    return calibrate(stated, references(), table, networks={"accurate": load_networks()["accurate"]})
+    return calibrate(
+        stated, references(), table, networks={"accurate": load_networks()["accurate"]}
+    )
 
 
 def test_a_sensor_that_is_scaled_as_a_whole_is_calibrated_alike() -> None:

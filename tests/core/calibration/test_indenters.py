@@ -47,7 +47,9 @@ def norm(*parts: F64) -> F64:
 
 def boxed(*sides: F64) -> F64:
     """Distance to what lies within several slabs, from the distances to each."""
-    return np.asarray(np.minimum(np.maximum.reduce(sides), 0) + norm(*(np.maximum(s, 0) for s in sides)))
+    return np.asarray(
+        np.minimum(np.maximum.reduce(sides), 0) + norm(*(np.maximum(s, 0) for s in sides))
+    )
 
 
 def cone_distance(p: F64) -> F64:
@@ -55,7 +57,9 @@ def cone_distance(p: F64) -> F64:
     along = np.maximum(norm(p[:, 0], p[:, 1]) * math.sin(half) + p[:, 2] * math.cos(half), 0)
     rho, z = norm(p[:, 0], p[:, 1]), p[:, 2]
     side = rho * math.cos(half) - z * math.sin(half)
-    return np.where(side < 0, side, np.hypot(rho - along * math.sin(half), z - along * math.cos(half)))
+    return np.where(
+        side < 0, side, np.hypot(rho - along * math.sin(half), z - along * math.cos(half))
+    )
 
 
 def octahedron(radius_mm: float) -> F64:
@@ -65,14 +69,25 @@ def octahedron(radius_mm: float) -> F64:
 
 
 def octahedron_distance(p: F64) -> F64:
-    return np.asarray((np.abs(p - (0, 0, 4.0)).sum(axis=1) - 4.0) / math.sqrt(3))  # right near its faces
+    return np.asarray(
+        (np.abs(p - (0, 0, 4.0)).sum(axis=1) - 4.0) / math.sqrt(3)
+    )  # right near its faces
 
 
 # Sharp ones, as exact distances and the simulator's presses: nothing of `indenter` is in them.
 SHAPES: dict[str, tuple[Indenter, Callable[[F64], F64]]] = {
-    "cylinder": (shapes.cylinder("c", 5.0), lambda p: boxed(norm(p[:, 0], p[:, 1]) - 5.0, -p[:, 2])),
-    "box": (shapes.box("b", 9.0, 5.0), lambda p: boxed(np.abs(p[:, 0]) - 4.5, np.abs(p[:, 1]) - 2.5, -p[:, 2])),
-    "bar": (shapes.bar("r", 2.0, 12.0), lambda p: boxed(np.abs(p[:, 0]) - 6.0, norm(p[:, 1], p[:, 2] - 2.0) - 2.0)),
+    "cylinder": (
+        shapes.cylinder("c", 5.0),
+        lambda p: boxed(norm(p[:, 0], p[:, 1]) - 5.0, -p[:, 2]),
+    ),
+    "box": (
+        shapes.box("b", 9.0, 5.0),
+        lambda p: boxed(np.abs(p[:, 0]) - 4.5, np.abs(p[:, 1]) - 2.5, -p[:, 2]),
+    ),
+    "bar": (
+        shapes.bar("r", 2.0, 12.0),
+        lambda p: boxed(np.abs(p[:, 0]) - 6.0, norm(p[:, 1], p[:, 2] - 2.0) - 2.0),
+    ),
     "cone": (shapes.cone("k", 70.0), cone_distance),
     "mesh": (shapes.mesh("m", octahedron(4.0) + np.array((0.0, 0.0, 17.0))), octahedron_distance),
 }
@@ -97,7 +112,9 @@ def test_its_surface_is_that_of_the_simulators_press(
         # The simulator finds a tilted object's lowest point within 2 µm; a circle of flats is 1.5 µm inside.
         assert np.abs(press.distance_mm(R_MM, points)).max() < 0.008
         # Nothing of it lies nearer to the camera inside the skin, and what is not met is free of it.
-        above = skin_points(np.where(rays.inside, np.float32(0.02), np.float32(np.nan)), rays, where)
+        above = skin_points(
+            np.where(rays.inside, np.float32(0.02), np.float32(np.nan)), rays, where
+        )
         missed = rays.inside & ~hit
         assert press.distance_mm(R_MM, above[missed].astype(np.float64)).min() > -0.01
         nearer = skin_points(height + np.float32(0.05), rays, where).astype(np.float64)[hit]
@@ -107,17 +124,25 @@ def test_its_surface_is_that_of_the_simulators_press(
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_greatest_depth_and_the_first_touch(name: str, turn: tuple[float, float, float]) -> None:
+def test_the_greatest_depth_and_the_first_touch(
+    name: str, turn: tuple[float, float, float]
+) -> None:
     indenter, sdf = SHAPES[name]
     rng = np.random.default_rng(1)
     for x, y, depth in PLACES:
         placed = place(indenter, R_MM, x, y, depth, *turn)
         # Dense where the lowest point of an upright one is.
         spread = 6.0 * 10 ** rng.uniform(-4, 0, (40000, 1))
-        sphere = spread * rng.standard_normal((40000, 3)) + (x, y, math.sqrt(R_MM**2 - x * x - y * y))
+        sphere = spread * rng.standard_normal((40000, 3)) + (
+            x,
+            y,
+            math.sqrt(R_MM**2 - x * x - y * y),
+        )
         sphere *= R_MM / np.linalg.norm(sphere, axis=1, keepdims=True)
 
-        def free(by_mm: float, points: F64 = sphere, x: float = x, y: float = y, depth: float = depth) -> float:
+        def free(
+            by_mm: float, points: F64 = sphere, x: float = x, y: float = y, depth: float = depth
+        ) -> float:
             """How far the undeformed skin is from the indenter when that is lifted."""
             press = Press(Shape(name, sdf), x, y, depth - by_mm, turn[0], 1.0, turn[1], turn[2])
             return float(press.distance_mm(R_MM, points).min())
@@ -126,7 +151,9 @@ def test_the_greatest_depth_and_the_first_touch(name: str, turn: tuple[float, fl
         assert free(travel - 0.06) < 0 < free(travel + 0.01)
         deepest = placed.depth_max_mm(R_MM)
         assert free(0.0, sphere * ((R_MM - deepest - 0.01) / R_MM)) > 0
-        assert placed.deeper(0.5).first_touch_mm(R_MM) == pytest.approx(placed.first_touch_mm(R_MM), abs=1e-5)
+        assert placed.deeper(0.5).first_touch_mm(R_MM) == pytest.approx(
+            placed.first_touch_mm(R_MM), abs=1e-5
+        )
 
 
 angles = st.floats(-60, 60)
@@ -180,7 +207,12 @@ def test_it_is_a_solid_that_a_printer_can_fill(name: str) -> None:
         edges.update(zip(points, points[1:] + points[:1], strict=True))
     assert set(edges.values()) == {1}
     assert all((b, a) in edges for a, b in edges)
-    volume_mm3 = float(np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])).sum()) / 6
+    volume_mm3 = (
+        float(
+            np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])).sum()
+        )
+        / 6
+    )
     assert volume_mm3 > np.pi * STEM_RADIUS_MM**2 * LENGTH_MM / 2
     assert triangles[..., 2].min() == 0
     assert triangles[..., 2].max() == LENGTH_MM
@@ -208,7 +240,9 @@ def test_a_ball_is_round_where_it_presses(name: str) -> None:
     radius_mm = float(printable.entry["radius_mm"])
     low = printable.triangles_mm.reshape(-1, 3)
     low = low[low[:, 2] < radius_mm]
-    np.testing.assert_allclose(np.linalg.norm(low - (0, 0, radius_mm), axis=1), radius_mm, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(low - (0, 0, radius_mm), axis=1), radius_mm, atol=1e-9
+    )
 
 
 def test_the_plan_has_every_indenter_at_every_depth_and_all_over_the_disc() -> None:

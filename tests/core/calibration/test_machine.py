@@ -30,8 +30,12 @@ def first_touch_mm(indenter: Indenter, x_mm: float, yaw_deg: float = 0.0) -> flo
 def test_flat_ends_touch_beside_their_middle() -> None:
     flat, square = cylinder("flat", 4), box("square", 8, 4)
     assert first_touch_mm(flat, 0) == pytest.approx(0, abs=1e-6)
-    assert first_touch_mm(flat, 6) == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 4), abs=1e-3)
-    assert first_touch_mm(square, 6, 90) == pytest.approx(math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3)
+    assert first_touch_mm(flat, 6) == pytest.approx(
+        math.sqrt(400 - 36) - math.sqrt(400 - 4), abs=1e-3
+    )
+    assert first_touch_mm(square, 6, 90) == pytest.approx(
+        math.sqrt(400 - 36) - math.sqrt(400 - 16), abs=1e-3
+    )
     assert first_touch_mm(square, 6) < first_touch_mm(square, 6, 90)
 
 
@@ -41,8 +45,12 @@ def test_travel_becomes_depth() -> None:
     assert math.hypot(6.0, math.sqrt(400 - 36) - ball.depth_mm + 6.0) == pytest.approx(26.0)
     flat = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4), tilt_x_deg=5.0)
     upright = KnownPress("flat", image, 0.0, 2.0, 6.0, 0.0, cylinder("flat", 4))
-    assert from_travel(upright, 20).depth_mm == pytest.approx(2 + first_touch_mm(cylinder("flat", 4), 6))
-    assert from_travel(flat, 20).depth_mm != pytest.approx(from_travel(upright, 20).depth_mm, abs=0.01)
+    assert from_travel(upright, 20).depth_mm == pytest.approx(
+        2 + first_touch_mm(cylinder("flat", 4), 6)
+    )
+    assert from_travel(flat, 20).depth_mm != pytest.approx(
+        from_travel(upright, 20).depth_mm, abs=0.01
+    )
     with pytest.raises(ConfigError, match="ball: x_mm, y_mm: found no values"):
         from_travel(KnownPress("ball", image, 6.0, 2.0, None, None), 20)
     with pytest.raises(ConfigError, match="expected a place within the skin"):
@@ -63,16 +71,24 @@ def test_the_press_that_gave_the_place_is_found_again(
 
 
 @given(angles.filter(lambda v: math.hypot(*v) > 0.01))
-def test_a_ball_about_whose_centre_the_sensor_turns_keeps_its_centre(angle: tuple[float, ...]) -> None:
+def test_a_ball_about_whose_centre_the_sensor_turns_keeps_its_centre(
+    angle: tuple[float, ...],
+) -> None:
     """It lies on the line through the skin's centre: whatever way that points, the ball is as far from it."""
     reported = Touch(0.0, 0.0, 2.0)
     found = fixed_indenter(shift(0.0, 0.0, 0.0), reported, 4.0, R_MM)
     assert found.point_mm == pytest.approx((0.0, 0.0, R_MM - 2.0 + 4.0))
     tilted = turn(np.asarray(angle) * min(1.0, 0.4 / math.hypot(*angle)))
     seen = found.touch(tilted, R_MM)
-    centre_mm = (seen.x_mm, seen.y_mm, math.sqrt(R_MM**2 - seen.x_mm**2 - seen.y_mm**2) - seen.depth_mm + 4.0)
+    centre_mm = (
+        seen.x_mm,
+        seen.y_mm,
+        math.sqrt(R_MM**2 - seen.x_mm**2 - seen.y_mm**2) - seen.depth_mm + 4.0,
+    )
     assert np.linalg.norm(centre_mm) == pytest.approx(R_MM + 2.0)
-    assert found.turned_deg(tilted) == pytest.approx(math.degrees(min(0.4, math.hypot(*angle))), abs=1e-4)
+    assert found.turned_deg(tilted) == pytest.approx(
+        math.degrees(min(0.4, math.hypot(*angle))), abs=1e-4
+    )
 
 
 def test_beside_the_skin() -> None:

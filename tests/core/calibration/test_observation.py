@@ -43,7 +43,9 @@ def test_psi_solves_its_equation(rows: int, cols: int, reach: float, seed: int) 
         d[0, 0] = d[-1, -1] = 1.0
         return d if n > 1 else np.zeros((1, 1))
 
-    laplace = np.kron(second_difference(rows), np.eye(cols)) + np.kron(np.eye(rows), second_difference(cols))
+    laplace = np.kron(second_difference(rows), np.eye(cols)) + np.kron(
+        np.eye(rows), second_difference(cols)
+    )
     psi = np.linalg.solve(np.eye(rows * cols) + reach**2 * laplace, change.ravel().astype(float))
     np.testing.assert_allclose(screened_poisson(change, reach), psi.reshape(rows, cols), atol=0.01)
 
@@ -56,21 +58,29 @@ def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
     assert (psi >= 0).all()
     assert not psi[~inside].any()
     # A dark rim says more of the depth than a bright middle: the same change is worth more as darkening.
-    dark, bright = (screened_change(maps_of(sign * np.abs(change), inside), 3.0) for sign in (-1, 1))
+    dark, bright = (
+        screened_change(maps_of(sign * np.abs(change), inside), 3.0) for sign in (-1, 1)
+    )
     assert (dark[inside] > bright[inside]).all()
 
 
 def test_a_constant_brightening_has_the_floor_as_its_darkening() -> None:
-    wide = np.full((120, 120), 30, np.float32)  # beyond the window nothing changes; the middle is far from there
+    wide = np.full(
+        (120, 120), 30, np.float32
+    )  # beyond the window nothing changes; the middle is far from there
     chi = screened_change(maps_of(wide), 4.0)[58:62, 58:62]
-    np.testing.assert_allclose(chi, 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT, rtol=1e-3)
+    np.testing.assert_allclose(
+        chi, 30 ** (1 - DARKENING_WEIGHT) * DARKENING_FLOOR**DARKENING_WEIGHT, rtol=1e-3
+    )
 
 
 def test_what_is_not_finite_counts_as_no_change() -> None:
     change = np.full((20, 20), 30, np.float32)
     change[3, 4], change[5, 6] = np.nan, np.inf
     repaired = np.where(np.isfinite(change), change, np.float32(0))
-    np.testing.assert_array_equal(screened_change(maps_of(change), 4.0), screened_change(maps_of(repaired), 4.0))
+    np.testing.assert_array_equal(
+        screened_change(maps_of(change), 4.0), screened_change(maps_of(repaired), 4.0)
+    )
 
 
 def test_the_place_is_the_stated_one_or_the_located_one() -> None:

@@ -14,7 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from support.built_sensor import FIELD, PITCH_PX, SIZE, pins_px, sparse_dome
-from support.calibrated_sensor import FULL, HALF, TACTIP, random_sensor, references, simulated, unloaded
+from support.calibrated_sensor import (
+    FULL,
+    HALF,
+    TACTIP,
+    random_sensor,
+    references,
+    simulated,
+    unloaded,
+)
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import Sensor
@@ -42,7 +50,9 @@ from tacshade_edge.simulator.skin import chart_to_direction, undeformed
 from tacshade_edge.types import F64, U8, Bool, Calibration, Disc, Frame, Reconstruction
 from tools.testbed.simulator.families import sensor_name
 
-MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {f"random {k}": random_sensor(k) for k in range(3)}
+MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {
+    f"random {k}": random_sensor(k) for k in range(3)
+}
 
 
 def tip_pitch_px(model: SensorModel) -> float:
@@ -51,12 +61,15 @@ def tip_pitch_px(model: SensorModel) -> float:
     along = chart_to_direction(chart[:, 0], chart[:, 1], model.skin_radius_mm)
     tips = along * (model.skin_radius_mm - model.pin_length_pitches * model.pitch_mm)
     seen = project(model.geometry, tips)
-    middle = np.hypot(seen[:, 0] - model.col_c, seen[:, 1] - model.row_c) < 0.25 * model.disc_radius_px
+    middle = (
+        np.hypot(seen[:, 0] - model.col_c, seen[:, 1] - model.row_c) < 0.25 * model.disc_radius_px
+    )
     return float(cKDTree(seen).query(seen[middle], 7)[0][:, 1:].mean())
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "half" else pytest.mark.slow) for name in MODELS]
+    "name",
+    [pytest.param(name, marks=() if name == "half" else pytest.mark.slow) for name in MODELS],
 )
 def test_the_visible_circle_and_the_pitch_are_found(name: str) -> None:
     model = MODELS[name]
@@ -69,7 +82,9 @@ def test_the_visible_circle_and_the_pitch_are_found(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["other:33", "123"])
-def test_neither_a_marker_that_the_rim_cuts_nor_a_coarse_faint_rim_moves_the_circle(name: str) -> None:
+def test_neither_a_marker_that_the_rim_cuts_nor_a_coarse_faint_rim_moves_the_circle(
+    name: str,
+) -> None:
     sensor = sensor_name(name).make()
     disc = find_disc(to_grey(sensor.frame((), 1000).image))
     assert disc.radius_px == pytest.approx(sensor.model.disc_radius_px, rel=0.005)
@@ -152,8 +167,12 @@ def test_what_the_markers_fill() -> None:
     assert found.filled_part(Disc(-500.0, -500.0, 50.0), image.shape) == 0.0
 
 
-@pytest.mark.parametrize(("noise_grey", "chosen"), [(5.0, "otsu"), (2.5, "otsu"), (0.0, "adaptive")])
-def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them(noise_grey: float, chosen: str) -> None:
+@pytest.mark.parametrize(
+    ("noise_grey", "chosen"), [(5.0, "otsu"), (2.5, "otsu"), (0.0, "adaptive")]
+)
+def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them(
+    noise_grey: float, chosen: str
+) -> None:
     dome = sparse_dome(noise_grey=noise_grey, contrast_grey=70.0)
     assert choose_binarisation(dome, FIELD, PITCH_PX) == chosen
 
@@ -162,7 +181,12 @@ def test_pins_that_stand_far_apart_are_split_from_the_noise_between_them(noise_g
 def test_dense_patterns_and_what_has_no_markers_keep_the_mean_around() -> None:
     for model in (HALF, TACTIP):
         grey = to_grey(references(model, 1)[0])
-        assert choose_binarisation(grey, model.geometry.disc, marker_pitch_px(grey, model.geometry.disc)) == "adaptive"
+        assert (
+            choose_binarisation(
+                grey, model.geometry.disc, marker_pitch_px(grey, model.geometry.disc)
+            )
+            == "adaptive"
+        )
     noise = np.random.default_rng(1).integers(0, 256, (240, 320), dtype=np.uint8)
     assert choose_binarisation(noise, FIELD, 9.0) == "adaptive"
 
@@ -175,7 +199,9 @@ def test_a_blurred_picture_has_less_focus_and_a_dark_one_less_contrast() -> None
     assert found == pytest.approx((disc.row_c, disc.col_c, disc.radius_px), abs=1.5)
     sharp = view(grey, pattern)
     assert sharp.advice == ""
-    blurred = [view(cv2.GaussianBlur(grey, (0, 0), sigma), pattern).focus for sigma in (1.0, 2.0, 3.0)]
+    blurred = [
+        view(cv2.GaussianBlur(grey, (0, 0), sigma), pattern).focus for sigma in (1.0, 2.0, 3.0)
+    ]
     assert [sharp.focus, *blurred] == sorted([sharp.focus, *blurred], reverse=True)
     dark = view((grey // 8).astype(np.uint8), pattern)
     assert dark.focus == pytest.approx(sharp.focus, rel=0.1)
@@ -214,12 +240,21 @@ BASES: dict[str, Callable[[], U8]] = {
 LOOKS = st.lists(
     st.one_of(
         st.builds(lambda gain: lambda grey: np.clip(gain * grey, 0, 255), st.floats(0.1, 3.0)),
-        st.builds(lambda level: lambda grey: np.where(grey > level, 255.0, 0.0), st.floats(20, 150)),
-        st.builds(lambda part: lambda grey: part * grey + (1 - part) * 128, st.floats(0.05, 1.0)),
-        st.builds(lambda sigma: lambda grey: cv2.GaussianBlur(grey, (0, 0), sigma), st.floats(0.5, 4.0)),
-        st.builds(lambda sigma: lambda grey: camera_faults.noise(np.uint8(grey), sigma, 1), st.floats(0, 40)),
         st.builds(
-            lambda part: lambda grey: cv2.resize(grey, None, fx=part, fy=part, interpolation=cv2.INTER_AREA),
+            lambda level: lambda grey: np.where(grey > level, 255.0, 0.0), st.floats(20, 150)
+        ),
+        st.builds(lambda part: lambda grey: part * grey + (1 - part) * 128, st.floats(0.05, 1.0)),
+        st.builds(
+            lambda sigma: lambda grey: cv2.GaussianBlur(grey, (0, 0), sigma), st.floats(0.5, 4.0)
+        ),
+        st.builds(
+            lambda sigma: lambda grey: camera_faults.noise(np.uint8(grey), sigma, 1),
+            st.floats(0, 40),
+        ),
+        st.builds(
+            lambda part: (
+                lambda grey: cv2.resize(grey, None, fx=part, fy=part, interpolation=cv2.INTER_AREA)
+            ),
             st.floats(0.45, 1.0),
         ),
     ),
@@ -229,7 +264,9 @@ LOOKS = st.lists(
 
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None)
-@given(name=st.sampled_from(sorted(BASES)), looks=LOOKS, polarity=st.sampled_from(["bright", "dark"]))
+@given(
+    name=st.sampled_from(sorted(BASES)), looks=LOOKS, polarity=st.sampled_from(["bright", "dark"])
+)
 def test_a_reference_is_never_refused_against_itself(name: str, looks: list, polarity: str) -> None:
     """By any check of any profile, whatever picture is taken as one."""
     image = BASES[name]().astype(np.float32)
@@ -268,7 +305,10 @@ def test_a_longer_exposure_is_no_glare() -> None:
 def test_a_stated_circle_overrules_what_is_seen() -> None:
     stated = Disc(250.0, 310.0, 170.0)
     assert calibrated(sparse_dome(), replace(SENSOR, visible_circle=stated)).geometry.disc == stated
-    with pytest.raises(ConfigError, match=r"^visible_circle: found a circle at row 9000, .* overlaps the 640x480 px"):
+    with pytest.raises(
+        ConfigError,
+        match=r"^visible_circle: found a circle at row 9000, .* overlaps the 640x480 px",
+    ):
         calibrated(sparse_dome(), replace(SENSOR, visible_circle=Disc(9000.0, 310.0, 170.0)))
 
 
@@ -292,7 +332,8 @@ def cut(model: SensorModel, edges: str, part: float) -> tuple[U8, Disc]:
     """A picture whose top, bottom, left or right edge cuts off this part of the radius, and the true circle."""
     grey, reach = picture(model), (1 - part) * model.disc_radius_px
     top, left = (
-        max(round(at - reach), 0) if edge in edges else 0 for at, edge in ((model.row_c, "t"), (model.col_c, "l"))
+        max(round(at - reach), 0) if edge in edges else 0
+        for at, edge in ((model.row_c, "t"), (model.col_c, "l"))
     )
     bottom = round(model.row_c + reach) + 1 if "b" in edges else None
     right = round(model.col_c + reach) + 1 if "r" in edges else None
@@ -312,7 +353,9 @@ def thresholded(model: SensorModel) -> tuple[U8, Disc]:
     """A near-binary picture, black beside the disc."""
     grey, disc = picture(model), model.geometry.disc
     side = 2 * int(disc.radius_px / 8) + 1
-    white = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, side, -8)
+    white = cv2.adaptiveThreshold(
+        grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, side, -8
+    )
     at = np.hypot(*(np.indices(grey.shape) - np.array((disc.row_c, disc.col_c))[:, None, None]))
     return np.where(at < disc.radius_px, white, 0).astype(np.uint8), disc
 
@@ -327,10 +370,20 @@ def hexagon(
     steps, pins = range(-rings, rings + 1), np.zeros(shape, np.float32)
     for b, a in ((b, a) for b in steps for a in steps if abs(a + b) <= rings):
         row, col = row_c + b * pitch_px * 3**0.5 / 2, col_c + (a + b / 2) * pitch_px
-        cv2.circle(pins, (round(16 * col), round(16 * row)), round(16 * pin_px), 1.0, -1, cv2.LINE_AA, 4)
-    ring = np.where((at > 1.25 * disc.radius_px) & (at < 1.6 * disc.radius_px), 190.0, 0.0) if lamps else 0.0
+        cv2.circle(
+            pins, (round(16 * col), round(16 * row)), round(16 * pin_px), 1.0, -1, cv2.LINE_AA, 4
+        )
+    ring = (
+        np.where((at > 1.25 * disc.radius_px) & (at < 1.6 * disc.radius_px), 190.0, 0.0)
+        if lamps
+        else 0.0
+    )
     image = (
-        20 + ring + 150 * cv2.GaussianBlur(pins, (0, 0), 1.2) * np.maximum(1 - 0.5 * (at / disc.radius_px) ** 2, 0.2)
+        20
+        + ring
+        + 150
+        * cv2.GaussianBlur(pins, (0, 0), 1.2)
+        * np.maximum(1 - 0.5 * (at / disc.radius_px) ** 2, 0.2)
     )
     grey = np.clip(image + np.random.default_rng(0).normal(0, 2.5, shape), 0, 255).astype(np.uint8)
     return np.where(grey > 70, np.uint8(255), np.uint8(0)) if binary else grey, disc
@@ -382,7 +435,10 @@ BARE = {
 }
 REFUSED = {
     "cut tblr by 20%": partial(cut, DARK, "tblr", 0.2),
-    "half of the dome is printed": lambda: (picture(DARK, lambda at: at[:, 1] < 0), DARK.geometry.disc),
+    "half of the dome is printed": lambda: (
+        picture(DARK, lambda at: at[:, 1] < 0),
+        DARK.geometry.disc,
+    ),
 }
 
 
@@ -424,4 +480,6 @@ def test_a_wrong_circle_is_never_found_silently(
     seen = gain * cv2.GaussianBlur(grey.astype(np.float32), (0, 0), blur_px)
     seen += np.random.default_rng(1).normal(0, noise_grey, grey.shape)
     said, off = answer(np.clip(seen, 0, 255).astype(np.uint8), true)
-    assert said != "found" or off < 0.04  # 256 of 260 within 0.02; more noise in a burnt surround: 0.09
+    assert (
+        said != "found" or off < 0.04
+    )  # 256 of 260 within 0.02; more noise in a burnt surround: 0.09

@@ -27,7 +27,16 @@ from tacshade_edge.inference.network import load_networks, make_reconstructor
 from tacshade_edge.types import Disc, Frame, Geometry
 
 DISC = Disc(61.3, 83.9, 47.7)
-PLACES = ((0.0, 0.0), (5.0, -2.0), (-4.0, 6.0), (2.0, 7.0), (-6.0, -5.0), (7.0, 1.0), (0.0, -8.0), (3.0, 3.0))
+PLACES = (
+    (0.0, 0.0),
+    (5.0, -2.0),
+    (-4.0, 6.0),
+    (2.0, 7.0),
+    (-6.0, -5.0),
+    (7.0, 1.0),
+    (0.0, -8.0),
+    (3.0, 3.0),
+)
 BALLS = [(x, y, 1.0 + 0.4 * k, 4.0 + 0.5 * k) for k, (x, y) in enumerate(PLACES)]
 FLAT = SigmaModel((0.0,) * 5, 3.0, 0.0, 1.0)
 """1 mm everywhere on a skin of 20 mm, and q is the scale."""
@@ -80,7 +89,11 @@ def test_a_ball_is_located_by_its_contact(x_mm: float, y_mm: float) -> None:
 
 
 def test_without_contact_there_is_nothing_to_locate_or_fit() -> None:
-    nothing = Inverse(np.zeros((112, 112), dtype=np.float32), np.full((112, 112), -5, dtype=np.float32), ALL_TRUSTED)
+    nothing = Inverse(
+        np.zeros((112, 112), dtype=np.float32),
+        np.full((112, 112), -5, dtype=np.float32),
+        ALL_TRUSTED,
+    )
     assert placed_press(geometry(), nothing, unplaced(2.0, 5.0)) is None
     assert refit.press_factor(nothing, geometry(), stated_ball(20.0, 0.0, 0.0, 2.0, 5.0)) is None
 
@@ -90,7 +103,9 @@ def test_a_constant_factor_is_taken_away(factor: float, left: float) -> None:
     fitted = refit.fit_factor(rows(factor))
     assert fitted is not None
     ball = stated_ball(20.0, -2.0, 3.0, 2.2, 5.5)  # not one of the presses
-    assert fitted * seen(ball, factor).height_mm.max() == pytest.approx(ball.depth_max_mm(20.0), rel=left)
+    assert fitted * seen(ball, factor).height_mm.max() == pytest.approx(
+        ball.depth_max_mm(20.0), rel=left
+    )
 
 
 def presses_that_tell(factors: list[float]) -> list[tuple[float, float]]:
@@ -104,7 +119,9 @@ def test_a_small_factor_is_the_shapes_and_a_large_one_the_sensors() -> None:
 
 def test_wrong_presses_hardly_move_it() -> None:
     spread = list(1.2 * np.exp(np.random.default_rng(3).normal(0, 0.1, 35)))
-    honest, misled = (refit.fit_factor(presses_that_tell(spread + wrong)) for wrong in ([], [3.0] * 5))
+    honest, misled = (
+        refit.fit_factor(presses_that_tell(spread + wrong)) for wrong in ([], [3.0] * 5)
+    )
     assert honest == pytest.approx(1.2, abs=0.05)
     assert misled == pytest.approx(honest, rel=0.05)
 
@@ -165,7 +182,9 @@ def test_the_error_is_that_on_presses_of_which_the_refit_knows_nothing() -> None
     radius_mm, errors, promised = HALF.skin_radius_mm, [], []
     for part in range(3):
         refit = refitted([press for k, press in enumerate(presses()) if k % 3 != part])
-        made = make_reconstructor(replace(calibrated(count=0), factors={"fast": refit.factor}), PROFILES["fast"])
+        made = make_reconstructor(
+            replace(calibrated(count=0), factors={"fast": refit.factor}), PROFILES["fast"]
+        )
         promised.append(refit.fit.depth_mae_mm)
         for press in presses()[part::3]:
             found_mm = made.step(Frame(0, 0, 0, press.image)).depth_max_mm
@@ -176,7 +195,9 @@ def test_the_error_is_that_on_presses_of_which_the_refit_knows_nothing() -> None
 @pytest.mark.slow
 def test_presses_without_a_place_refit_about_as_well() -> None:
     stated = refitted(list(presses()), "accurate").fit
-    located = refitted([replace(press, x_mm=None, y_mm=None) for press in presses()], "accurate").fit
+    located = refitted(
+        [replace(press, x_mm=None, y_mm=None) for press in presses()], "accurate"
+    ).fit
     assert located.presses >= 18
     assert located.depth_mae_mm < stated.depth_mae_mm + 0.1
 

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated, unloaded
 
-from tacshade_edge.core.contact.gate import GATE_PART, UNCHANGED_LEVELS, ContactGate, UnchangedSkin, gate_preprocessor
+from tacshade_edge.core.contact.gate import (
+    GATE_PART,
+    UNCHANGED_LEVELS,
+    ContactGate,
+    UnchangedSkin,
+    gate_preprocessor,
+)
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
@@ -42,7 +48,11 @@ def test_the_gate_closes_on_a_skin_at_rest_and_opens_on_a_faint_press(model: Sen
 @pytest.mark.parametrize("name", ["ball", "plate"])
 def test_it_asks_how_much_changed_and_not_in_which_direction(name: str) -> None:
     image = pressed(name, 1.0).image
-    assert changed_part(image, polarity="dark") == changed_part(image, polarity="bright") > 2 * GATE_PART
+    assert (
+        changed_part(image, polarity="dark")
+        == changed_part(image, polarity="bright")
+        > 2 * GATE_PART
+    )
 
 
 def test_the_gate_of_a_disc_without_cells_is_closed() -> None:
@@ -60,7 +70,9 @@ def recognised(made: Reconstructor, image: U8) -> bool:
 
 
 def said(result: Reconstruction | None) -> object:
-    return None if result is None else (result.valid, result.reason, result.degraded, result.contact)
+    return (
+        None if result is None else (result.valid, result.reason, result.degraded, result.contact)
+    )
 
 
 def each_by_itself(images: list[U8], **step: Any) -> list[object]:
@@ -90,7 +102,10 @@ def test_frames_of_a_free_skin_are_judged_once(model: SensorModel) -> None:
 @pytest.mark.slow
 def test_a_press_that_creeps_in_is_felt_as_early() -> None:
     depths_mm = (*np.arange(0.0, 0.08, 0.004), *np.arange(0.08, 0.5, 0.02))
-    images = [simulated(HALF).frame((Press(ball(8.0), 0.0, 0.0, d),) if d else (), 100).image for d in depths_mm]
+    images = [
+        simulated(HALF).frame((Press(ball(8.0), 0.0, 0.0, d),) if d else (), 100).image
+        for d in depths_mm
+    ]
     made, known, found = fresh("balanced"), 0, list[object]()
     for k, image in enumerate(images):
         known += recognised(made, image)
@@ -121,7 +136,9 @@ def test_a_frame_of_another_size_or_black_is_not_taken_for_it() -> None:
     assert made.step(Frame(3, 3, 3, image)).valid
 
 
-@pytest.mark.parametrize(("levels", "shown"), [(UNCHANGED_LEVELS, True), (UNCHANGED_LEVELS + 1, False)])
+@pytest.mark.parametrize(
+    ("levels", "shown"), [(UNCHANGED_LEVELS, True), (UNCHANGED_LEVELS + 1, False)]
+)
 @pytest.mark.parametrize("halved", [True, False])
 def test_one_pixel_decides(levels: float, shown: bool, halved: bool) -> None:
     calibration = calibrated()

@@ -38,8 +38,15 @@ def moved(now: np.ndarray, shear: np.ndarray) -> tuple[tuple[float, float], floa
     return (mean[3], mean[4]), *rigid_motion(spread, now.shape[1])
 
 
-@given(x_mm=st.floats(-5, 5), y_mm=st.floats(-5, 5), twist_deg=st.floats(-60, 60), count=st.integers(TWIST_CELLS, 400))
-def test_a_rigid_motion_is_found_as_it_is(x_mm: float, y_mm: float, twist_deg: float, count: int) -> None:
+@given(
+    x_mm=st.floats(-5, 5),
+    y_mm=st.floats(-5, 5),
+    twist_deg=st.floats(-60, 60),
+    count=st.integers(TWIST_CELLS, 400),
+)
+def test_a_rigid_motion_is_found_as_it_is(
+    x_mm: float, y_mm: float, twist_deg: float, count: int
+) -> None:
     now = points(count)
     a = math.radians(twist_deg)
     middle = now[:2].astype(np.float64).mean(axis=1, keepdims=True)
@@ -62,7 +69,11 @@ def test_the_normal_of_each_object_points_away_from_the_camera() -> None:
     assert found[2, 2] >= 0
 
 
-@given(st.lists(st.integers(1, 60), min_size=1, max_size=4), st.floats(-50, 50), st.integers(0, 2**32 - 1))
+@given(
+    st.lists(st.integers(1, 60), min_size=1, max_size=4),
+    st.floats(-50, 50),
+    st.integers(0, 2**32 - 1),
+)
 def test_the_spreads_of_objects_far_from_the_axis_are_those_of_values_less_their_mean(
     counts: list[int], away_mm: float, seed: int
 ) -> None:
@@ -81,7 +92,9 @@ def squares(values: np.ndarray, threshold: float) -> float:
     return sum(float(((p - p.mean()) ** 2).sum()) for p in parts if p.size)
 
 
-@given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=60).filter(lambda v: len(set(v)) > 1))
+@given(
+    st.lists(st.integers(-1000, 1000), min_size=2, max_size=60).filter(lambda v: len(set(v)) > 1)
+)
 @example([0, 1, 2])
 @example([0, 99, 99, 99, 101, 101, 101, 200])
 @example([0, 0, 0, 1])
@@ -134,7 +147,9 @@ def test_no_more_objects_than_a_cloud_can_number() -> None:
     assert np.count_nonzero(labels) == LABELS_MAX
 
 
-def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geometry) -> Objects | None:
+def over_the_whole_map(
+    touched: Bool, height: F32, rays: DiscRays, geometry: Geometry
+) -> Objects | None:
     """Plainly, every cell of the map and one object after the other."""
     points = skin_points(height, rays, geometry)
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
@@ -149,12 +164,19 @@ def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geo
         mine = points[patches == k].astype(np.float64)
         x, y, z = (float(v) for v in mine.mean(axis=0))
         a, b, c = (float(v) for v in np.ptp(mine, axis=0))
-        reported.append(TouchedObject(label, (x, y, z), (a, b, c), float(height[patches == k].max()), areas[k]))
+        reported.append(
+            TouchedObject(label, (x, y, z), (a, b, c), float(height[patches == k].max()), areas[k])
+        )
         clouds.append(points[patches == k])
         labels.append(np.full(len(mine), label, np.uint16))
     contact = np.isin(patches, large)
     volume = float((height[contact] * area[contact]).sum())
-    return Objects(contact, ObjectCloud(np.concatenate(clouds), np.concatenate(labels)), tuple(reported), volume)
+    return Objects(
+        contact,
+        ObjectCloud(np.concatenate(clouds), np.concatenate(labels)),
+        tuple(reported),
+        volume,
+    )
 
 
 @given(
@@ -162,7 +184,10 @@ def over_the_whole_map(touched: Bool, height: F32, rays: DiscRays, geometry: Geo
     st.integers(2, 30),
     st.sampled_from([None, 14.0]),
     st.floats(3.0, 60.0),
-    st.lists(st.tuples(st.integers(0, 29), st.integers(0, 29), st.integers(1, 12), st.integers(1, 12)), max_size=5),
+    st.lists(
+        st.tuples(st.integers(0, 29), st.integers(0, 29), st.integers(1, 12), st.integers(1, 12)),
+        max_size=5,
+    ),
     st.sampled_from([0.01, 0.3, 3.0]),
     st.integers(0, 2**32 - 1),
 )
@@ -182,7 +207,9 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
     geometry = Geometry(20.0, distance_mm, 50.0, Disc(rows / 2.1, cols / 1.9, radius_px))
     rays = disc_rays(Grid(rows, cols, 0.0, 0.0, 1.0), geometry)
     rng = np.random.default_rng(seed)
-    height = np.where(rays.inside, rng.uniform(0, rough_mm, (rows, cols)), np.nan).astype(np.float32)
+    height = np.where(rays.inside, rng.uniform(0, rough_mm, (rows, cols)), np.nan).astype(
+        np.float32
+    )
     touched = np.zeros((rows, cols), bool)
     for row, col, high, wide in patches:
         touched[row : row + high, col : col + wide] = True
@@ -197,7 +224,11 @@ def test_objects_found_in_the_contacts_box_are_those_of_the_whole_map(
     assert found.cloud.points_mm.tobytes() == expected.cloud.points_mm.tobytes()
     assert len(found.described) == len(expected.described)
     for mine, other in zip(found.described, expected.described, strict=True):
-        assert (mine.label, mine.extent_mm, mine.depth_max_mm) == (other.label, other.extent_mm, other.depth_max_mm)
+        assert (mine.label, mine.extent_mm, mine.depth_max_mm) == (
+            other.label,
+            other.extent_mm,
+            other.depth_max_mm,
+        )
         # Sums in another order.
         assert mine.centroid_mm == pytest.approx(other.centroid_mm, rel=1e-12, abs=1e-12)
         assert mine.area_mm2 == pytest.approx(other.area_mm2, rel=1e-12)

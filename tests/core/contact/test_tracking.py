@@ -12,13 +12,19 @@ FRAME_NS = 16_666_667
 
 
 def contact(
-    x_mm: float, y_mm: float = 0.0, dragged_mm: float = 0.0, strain_mm: float = 0.0, depth_mm: float = 2.0
+    x_mm: float,
+    y_mm: float = 0.0,
+    dragged_mm: float = 0.0,
+    strain_mm: float = 0.0,
+    depth_mm: float = 2.0,
 ) -> TouchedObject:
     motion = {"shear_mm": (dragged_mm, 0.0), "strain_mm": strain_mm}
     return TouchedObject(1, (x_mm, y_mm, 0.0), (0.0, 0.0, 0.0), depth_mm, 1.0, **motion)  # type: ignore[arg-type]
 
 
-def followed(tracker: ContactTracker, *objects: TouchedObject, frame: int = 0) -> tuple[TouchedObject, ...]:
+def followed(
+    tracker: ContactTracker, *objects: TouchedObject, frame: int = 0
+) -> tuple[TouchedObject, ...]:
     return tracker.step(frame * FRAME_NS, objects)
 
 
@@ -67,7 +73,9 @@ def noisy(speed_mm_s: float, noise_mm: float, frames: int, onset: int, seed: int
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)])
+@pytest.mark.parametrize(
+    ("speed_mm_s", "noise_mm", "within_s"), [(5, 0.012, 0.1), (20, 0.06, 0.1), (5, 0.06, 0.25)]
+)
 def test_a_slip_is_reported_as_soon_as_it_stands_out_of_the_noise(
     speed_mm_s: float, noise_mm: float, within_s: float
 ) -> None:
@@ -89,12 +97,16 @@ def test_a_contact_that_grows_on_one_side_does_not_slip(dragged_mm: float) -> No
 
 
 @pytest.mark.parametrize(("loosened", "slip"), [(0.0, Slip.STICK), (1.0, Slip.FULL)])
-def test_skin_that_goes_back_slips_only_under_a_grip_that_is_loosened(loosened: float, slip: Slip) -> None:
+def test_skin_that_goes_back_slips_only_under_a_grip_that_is_loosened(
+    loosened: float, slip: Slip
+) -> None:
     """By Coulomb's law a contact that slides bears its limit, which goes with its depth."""
     tracker = ContactTracker()
     for k in range(15):
         left = 1 - 0.05 * k
-        (found,) = followed(tracker, contact(2.0, dragged_mm=2 * left, depth_mm=2 * left**loosened), frame=k)
+        (found,) = followed(
+            tracker, contact(2.0, dragged_mm=2 * left, depth_mm=2 * left**loosened), frame=k
+        )
     assert found.slip is slip
     assert found.slip_mm_s == pytest.approx(6.0, abs=0.01)
 

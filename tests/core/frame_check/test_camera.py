@@ -7,7 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 
-from tacshade_edge.core.frame_check.camera import Drift, Look, drift, look, shift_reason, shifted_too_far
+from tacshade_edge.core.frame_check.camera import (
+    Drift,
+    Look,
+    drift,
+    look,
+    shift_reason,
+    shifted_too_far,
+)
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import camera_faults
@@ -29,7 +36,9 @@ def warped(image: U8, row_px: float, col_px: float, turn_deg: float = 0.0, zoom:
     matrix = cv2.getRotationMatrix2D((HALF.col_c, HALF.row_c), -turn_deg, zoom)
     matrix[:, 2] += col_px, row_px
     size = (image.shape[1], image.shape[0])
-    return np.asarray(cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 @settings(max_examples=15)
@@ -61,14 +70,22 @@ def test_light_and_focus(reference: Look) -> None:
         dim = drift(reference, camera_faults.gain(image, 0.7))
         assert dim.light == pytest.approx(0.7, abs=0.02)
         assert text_of(dim.light_reason).endswith(" times the light")
-        assert "blurred or dirty" in text_of(drift(reference, bad_pictures.defocus(image, 1.5)).light_reason)
+        assert "blurred or dirty" in text_of(
+            drift(reference, bad_pictures.defocus(image, 1.5)).light_reason
+        )
         ramp = 1 - 0.5 * np.linspace(0, 1, image.shape[1])[None, :]
-        assert "the light falls differently" in text_of(drift(reference, (image * ramp).astype(np.uint8)).light_reason)
+        assert "the light falls differently" in text_of(
+            drift(reference, (image * ramp).astype(np.uint8)).light_reason
+        )
 
 
 def test_what_cannot_be_compared_says_nothing(reference: Look) -> None:
     grey = to_grey(unloaded())
-    for image in (np.random.default_rng(1).integers(0, 256, grey.shape, dtype=np.uint8), 0 * grey + 9, grey[::2, ::2]):
+    for image in (
+        np.random.default_rng(1).integers(0, 256, grey.shape, dtype=np.uint8),
+        0 * grey + 9,
+        grey[::2, ::2],
+    ):
         assert drift(reference, np.ascontiguousarray(image)) == Drift()
     for disc in (Disc(100, 100, 3), Disc(-500, 100, 80)):
         assert drift(look(grey, disc, 8.0), grey) == Drift()

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.calibrated_sensor import EVERY_PROFILE, FULL, HALF, TACTIP, calibrated, pressed, simulated, unloaded
+from support.calibrated_sensor import (
+    EVERY_PROFILE,
+    FULL,
+    HALF,
+    TACTIP,
+    calibrated,
+    pressed,
+    simulated,
+    unloaded,
+)
 from support.examples import examples
 
 from tacshade_edge.core.frame_check import Judges, PictureJudge, first_reason, picture, plain_judges
@@ -38,7 +47,10 @@ def bad_frames(good: U8) -> dict[str, tuple[U8, str]]:
         "grey": (grey, "no_contrast"),
         "half white": (bad_pictures.torn(good, white, rows // 2), "saturated"),
         "torn, grey below": (bad_pictures.torn(good, grey, rows // 2), "torn surround light"),
-        "torn, black from three quarters": (bad_pictures.torn(good, black, 3 * rows // 4), "torn surround"),
+        "torn, black from three quarters": (
+            bad_pictures.torn(good, black, 3 * rows // 4),
+            "torn surround",
+        ),
         "noise": (camera_faults.noise(good, 30, 1), "noise"),
         "a third of the light": (camera_faults.gain(good, 0.3), "light"),
         "three times the light": (camera_faults.gain(good, 3), "light saturated"),
@@ -56,7 +68,9 @@ def test_a_bad_frame_is_refused_for_its_reason(touched: bool, name: str) -> None
     assert "\n" not in str(reason)
 
 
-@pytest.mark.parametrize("model", [HALF, pytest.param(TACTIP, marks=pytest.mark.slow)], ids=["half", "tactip"])
+@pytest.mark.parametrize(
+    "model", [HALF, pytest.param(TACTIP, marks=pytest.mark.slow)], ids=["half", "tactip"]
+)
 def test_an_unloaded_frame_is_good_also_with_a_nuisance(model: SensorModel) -> None:
     good, asked = unloaded(model), judges(model)
     for image in (
@@ -78,14 +92,20 @@ def test_no_contact_raises_a_false_alarm(model: SensorModel) -> None:
     asked, r = judges(model), model.skin_radius_mm
     for name in OBJECTS:
         for depth, place in ((1.0, 0.0), (3.0, 0.25 * r), (5.0, 0.0)):
-            image = simulated(model).frame((Press(OBJECTS[name](), place, 0.0, depth, 20.0),), 9).image
+            image = (
+                simulated(model).frame((Press(OBJECTS[name](), place, 0.0, depth, 20.0),), 9).image
+            )
             assert asked.reason(to_grey(image)) is None, (name, depth)
 
 
 @pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_the_judges_see_the_same_in_every_profile(profile: str) -> None:
     made = make_reconstructor(calibrated(FULL, 0), PROFILES[profile])
-    for image in (unloaded(FULL), pressed("ball", 2.0, FULL).image, camera_faults.shift(unloaded(FULL), 4, 5)):
+    for image in (
+        unloaded(FULL),
+        pressed("ball", 2.0, FULL).image,
+        camera_faults.shift(unloaded(FULL), 4, 5),
+    ):
         found = [(each.what, each.found) for each in made.measured(image) if each.judge != "skin"]
         other = make_reconstructor(calibrated(FULL, 0), PROFILES["fast"]).measured(image)
         assert found == [(each.what, each.found) for each in other if each.judge != "skin"]
@@ -95,11 +115,15 @@ def test_the_judges_see_the_same_in_every_profile(profile: str) -> None:
 
 
 @pytest.mark.parametrize(("percent", "refused"), [(24, False), (26, True)])
-def test_pixels_at_the_very_level_count_as_saturated_also_in_black(percent: int, refused: bool) -> None:
+def test_pixels_at_the_very_level_count_as_saturated_also_in_black(
+    percent: int, refused: bool
+) -> None:
     mask = disc_mask(120, 120, Disc(60.0, 60.0, 50.0))
     grey = np.zeros((120, 120), np.uint8)
     grey[mask] = np.where(np.arange(np.count_nonzero(mask)) % 100 < percent, 250, 0)
-    assert (code_of(first_reason(PictureJudge(grey * 0, mask).measured(grey))) == "saturated") == refused
+    assert (
+        code_of(first_reason(PictureJudge(grey * 0, mask).measured(grey))) == "saturated"
+    ) == refused
 
 
 def test_pictures_that_come_thresholded_are_not_saturated() -> None:
@@ -119,7 +143,9 @@ def test_a_disc_outside_the_image_is_said() -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (9, 17), (16, 40)])
 @pytest.mark.parametrize("unloaded_skin", [False, True])
-def test_a_tiny_reference_passes_if_it_has_a_disc(size: tuple[int, int], unloaded_skin: bool) -> None:
+def test_a_tiny_reference_passes_if_it_has_a_disc(
+    size: tuple[int, int], unloaded_skin: bool
+) -> None:
     grey = np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8)
     disc = Disc(size[0] / 2, size[1] / 2, max(size) / 2)
     reason = Judges(grey, disc, 8.0, unloaded=unloaded_skin).reason(grey)
@@ -129,7 +155,9 @@ def test_a_tiny_reference_passes_if_it_has_a_disc(size: tuple[int, int], unloade
 @pytest.mark.parametrize("shift", [(0, 0), (-3, 3), (5, 0), (-4, -5)])
 def test_a_move_is_measured_also_in_a_contact(shift: tuple[int, int]) -> None:
     for image in (unloaded(HALF), pressed("ball", 3.0).image, pressed("plate", 5.0).image):
-        moved, surround = judges(HALF).camera.measured(eighth(to_grey(camera_faults.shift(image, *shift))))
+        moved, surround = judges(HALF).camera.measured(
+            eighth(to_grey(camera_faults.shift(image, *shift)))
+        )
         assert moved.found == pytest.approx(math.hypot(*shift), abs=0.4)
         assert surround.found < 0.01 or shift != (0, 0)
 
@@ -139,7 +167,10 @@ def test_where_nothing_lies_around_the_disc_no_camera_moves() -> None:
     disc = calibration.geometry.disc
     masked = np.where(disc_mask(240, 320, disc), calibration.reference_grey, np.uint8(0))
     moved = np.roll(masked, 4, axis=1)
-    assert [each.found for each in Judges(masked, disc, None).camera.measured(eighth(moved))] == [0.0, 0.0]
+    assert [each.found for each in Judges(masked, disc, None).camera.measured(eighth(moved))] == [
+        0.0,
+        0.0,
+    ]
 
 
 SIZES = st.tuples(st.integers(1, 90), st.integers(1, 90))
@@ -178,7 +209,9 @@ def test_figures_are_those_of_plain_float64(
 @pytest.mark.parametrize("gain", [0.3, 0.44, 0.5, 1.0])
 @pytest.mark.parametrize("touched", [False, True])
 def test_the_light_is_that_of_the_brightest(gain: float, touched: bool) -> None:
-    grey = to_grey(camera_faults.gain(pressed("ball", 3.0).image if touched else unloaded(HALF), gain))
+    grey = to_grey(
+        camera_faults.gain(pressed("ball", 3.0).image if touched else unloaded(HALF), gain)
+    )
     least, _ = judges(HALF).light.measured(grey, eighth(grey))
     assert least.found == pytest.approx(gain, abs=0.06)
     assert least.refuses == (gain < picture.LIGHT_LOW)
@@ -196,7 +229,12 @@ def test_one_judge_at_most_refuses() -> None:
     made = judges(HALF).measured(to_grey(unloaded()) * 0)
     assert [each.judge for each in made if each.refuses] == ["picture"]
     assert {each.judge for each in made} == {"picture"}, "the others are not asked"
-    assert {each.judge for each in judges(HALF).measured(to_grey(unloaded()))} == {"picture", "light", "camera", "skin"}
+    assert {each.judge for each in judges(HALF).measured(to_grey(unloaded()))} == {
+        "picture",
+        "light",
+        "camera",
+        "skin",
+    }
 
 
 @examples(40)

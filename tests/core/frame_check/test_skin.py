@@ -9,7 +9,12 @@ from support.networks import saying
 
 from tacshade_edge.core.depth.learned import fold
 from tacshade_edge.core.frame_check import first_reason
-from tacshade_edge.core.frame_check.skin import UNTRUSTED_SURE, PlainSkinJudge, untrusted_part, untrusted_rows_part
+from tacshade_edge.core.frame_check.skin import (
+    UNTRUSTED_SURE,
+    PlainSkinJudge,
+    untrusted_part,
+    untrusted_rows_part,
+)
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.profiles import PROFILES
@@ -23,7 +28,9 @@ ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) /
 TOUCHED = np.hypot(ROW, COL) < 20
 
 
-def judged(untrusted_rows: slice, image: U8, logit: float = 4.0) -> tuple[Reconstructor, Reconstruction]:
+def judged(
+    untrusted_rows: slice, image: U8, logit: float = 4.0
+) -> tuple[Reconstructor, Reconstruction]:
     """A contact in the middle, of whose picture some rows of 28 are untrusted."""
     untrusted = np.full((28, 28), -1, np.float32)
     untrusted[untrusted_rows] = logit
@@ -40,17 +47,25 @@ def test_a_few_untrusted_cells_are_no_contact_and_a_doubt() -> None:
     percent = float(result.degraded.text.split(" %")[0])
     rows = np.zeros_like(TOUCHED)
     rows[52:56] = True
-    assert percent == pytest.approx(100 * (rows & made.rays.inside).sum() / made.rays.inside.sum(), abs=0.06)
+    assert percent == pytest.approx(
+        100 * (rows & made.rays.inside).sum() / made.rays.inside.sum(), abs=0.06
+    )
     np.testing.assert_array_equal(result.untrusted, rows & made.rays.inside)
     np.testing.assert_array_equal(result.height.contact, TOUCHED & ~rows)
 
 
 @pytest.mark.parametrize(
     ("rows", "logit", "code", "degraded"),
-    [(slice(0, 0), 4.0, "", ""), (slice(10, 28), 4.0, "torn", ""), (slice(10, 28), 2.0, "", "untrusted")],
+    [
+        (slice(0, 0), 4.0, "", ""),
+        (slice(10, 28), 4.0, "torn", ""),
+        (slice(10, 28), 2.0, "", "untrusted"),
+    ],
     ids=["this skin", "another picture", "a skin that the network does not know"],
 )
-def test_a_picture_of_something_else_is_refused(rows: slice, logit: float, code: str, degraded: str) -> None:
+def test_a_picture_of_something_else_is_refused(
+    rows: slice, logit: float, code: str, degraded: str
+) -> None:
     _, result = judged(rows, pressed("ball", 3.0).image, logit=logit)
     assert (code_of(result.reason), code_of(result.degraded)) == (code, degraded)
     assert result.contact == (code == "")
@@ -68,7 +83,9 @@ def test_untrusted_patches_are_no_torn_rows() -> None:
     patch, rows = COL > 0, ROW > 24
     assert untrusted_part(patch & inside, inside) > 0.4
     assert untrusted_rows_part(logits(patch), inside) == 0.0
-    assert untrusted_rows_part(logits(rows), inside) == pytest.approx(untrusted_part(rows, inside), abs=0.02)
+    assert untrusted_rows_part(logits(rows), inside) == pytest.approx(
+        untrusted_part(rows, inside), abs=0.02
+    )
     assert untrusted_rows_part(logits(rows, 2.0), inside) > 0.1
     assert untrusted_rows_part(logits(rows, 2.0), inside, UNTRUSTED_SURE) == 0.0
     assert untrusted_rows_part(logits(np.ones_like(inside)), inside) > 0.97
@@ -82,7 +99,9 @@ def test_nothing_of_a_disc_without_cells_is_untrusted() -> None:
 
 DISC = Disc(50.0, 60.0, 40.0)
 # A tear by half a stripe changes every pixel of a row, and nothing else differs from row to row but the noise.
-STRIPES = camera_faults.noise(np.tile(np.uint8(60) + np.uint8(120) * (np.arange(120) % 16 < 8), (100, 1)), 2, 1)
+STRIPES = camera_faults.noise(
+    np.tile(np.uint8(60) + np.uint8(120) * (np.arange(120) % 16 < 8), (100, 1)), 2, 1
+)
 
 
 def torn_text(grey: U8, reference: U8 = STRIPES, unloaded: bool = True) -> str:

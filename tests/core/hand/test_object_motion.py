@@ -20,7 +20,9 @@ STILL = Rigid(np.eye(3), np.zeros(3))
 SECOND_NS = 1_000_000_000
 
 
-def about(point_mm: F64, rotation_rad: tuple[float, ...], translation_mm: tuple[float, ...]) -> Rigid:
+def about(
+    point_mm: F64, rotation_rad: tuple[float, ...], translation_mm: tuple[float, ...]
+) -> Rigid:
     rotation = turn(rotation_rad).rotation
     return Rigid(rotation, point_mm + np.array(translation_mm) - rotation @ point_mm)
 
@@ -41,7 +43,12 @@ def patch(k: int, moved: Rigid, slips: bool = False) -> Patch:
     w = turned_rad(moved.rotation)
     twist = 0.5 * (axis @ w + normal @ w / (normal @ axis))
     return Patch(
-        *(three(now), three(radial / np.linalg.norm(radial)), three(axis), three(way - axis * (axis @ way))),
+        *(
+            three(now),
+            three(radial / np.linalg.norm(radial)),
+            three(axis),
+            three(way - axis * (axis @ way)),
+        ),
         *(20.0 - float(np.linalg.norm(radial)), math.degrees(twist)),
         slips,
     )
@@ -73,7 +80,9 @@ small_mm, small_rad = st.floats(-1.0, 1.0), st.floats(-0.06, 0.06)
 
 
 @given(st.tuples(small_mm, small_mm, small_mm), st.tuples(small_rad, small_rad, small_rad))
-def test_five_fingers_find_the_motion(translation_mm: tuple[float, ...], rotation_rad: tuple[float, ...]) -> None:
+def test_five_fingers_find_the_motion(
+    translation_mm: tuple[float, ...], rotation_rad: tuple[float, ...]
+) -> None:
     truth, tracker = about(AWAY_MM, rotation_rad, translation_mm), ObjectTracker()
     assert stepped(tracker, 0, patches("01234", STILL)).translation_mm == pytest.approx([0, 0, 0])
     found = stepped(tracker, SECOND_NS, patches("01234", truth))
@@ -124,14 +133,21 @@ def test_a_finger_that_changes_makes_no_jump_and_the_motion_goes_on(change: str)
     last = before = None
     for k in range(61):
         truth = about(AWAY_MM, (0.0, 0.002 * k, 0.001 * k), (0.02 * k, 0.0, -0.01 * k))
-        keys = {"leaves": "01234" if k < 30 else "0123", "joins": "0123" if k < 30 else "01234"}.get(change, "01234")
+        keys = {
+            "leaves": "01234" if k < 30 else "0123",
+            "joins": "0123" if k < 30 else "01234",
+        }.get(change, "01234")
         held = dict(patches(keys, truth, "4" if change == "slips" and k >= 30 else ""))
         if change == "joins" and k >= 30:  # its skin was not dragged when it touched
             touched = about(AWAY_MM, (0.0, 0.06, 0.03), (0.6, 0.0, -0.3))
             held["4"] = patch(4, truth @ touched.inverse())
         if change == "slips" and k >= 30:
             held["4"] = Patch(
-                *(getattr(held["4"], n) for n in ("place_mm", "normal", "axis")), (5.0, 0.0, 0.0), 9.0, None, True
+                *(getattr(held["4"], n) for n in ("place_mm", "normal", "axis")),
+                (5.0, 0.0, 0.0),
+                9.0,
+                None,
+                True,
             )
         found = stepped(tracker, k * SECOND_NS // 60, held)
         error = rigid(found).apply(AWAY_MM) - truth.apply(AWAY_MM)
@@ -173,7 +189,12 @@ def test_at_rest_a_finger_that_comes_and_goes_adds_nothing_up() -> None:
         for key, one in patches("0123" if k % 20 < 10 else "01234", STILL).items():
             shear = np.array(one.shear_mm) + rng.normal(0, 0.01, 3)
             held[key] = Patch(
-                one.place_mm, one.normal, one.axis, three(shear), one.depth_mm + rng.normal(0, 0.03), None
+                one.place_mm,
+                one.normal,
+                one.axis,
+                three(shear),
+                one.depth_mm + rng.normal(0, 0.03),
+                None,
             )
         found = stepped(tracker, k * SECOND_NS // 60, held)
     assert off(found, STILL)[0] < 0.15
@@ -188,7 +209,9 @@ def test_any_finite_patch_gives_a_finite_motion(count: int, seed: int) -> None:
             normal, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
             place, shear = rng.uniform(-1e3, 1e3, 3), rng.uniform(-50, 50, 3)
             twist = None if rng.uniform() < 0.5 else float(rng.uniform(-180, 180))
-            held[f"{i}"] = Patch(three(place), three(normal), three(axis), three(shear), rng.uniform(0, 20), twist)
+            held[f"{i}"] = Patch(
+                three(place), three(normal), three(axis), three(shear), rng.uniform(0, 20), twist
+            )
         found = stepped(tracker, k, held)
         for values in (found.translation_mm, found.rotation_rad, found.covariance):
             assert np.isfinite(values).all()

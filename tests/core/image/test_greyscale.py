@@ -63,9 +63,13 @@ def test_eqs_9_and_10_are_the_literal_ones(sign: float) -> None:
     g, g0 = (RNG.uniform(0, 255, (12, 14)).astype(np.float32) for _ in range(2))
     inside = disc_mask(12, 14, Disc(6, 7, 5))
     g_d = greyscale.grey_difference(g, g0, inside, sign)
-    np.testing.assert_allclose(g_d[inside], sign * (g[inside].astype(float) - g0[inside]), atol=1e-4)
+    np.testing.assert_allclose(
+        g_d[inside], sign * (g[inside].astype(float) - g0[inside]), atol=1e-4
+    )
     assert not g_d[~inside].any()
-    np.testing.assert_allclose(greyscale.shape_grey(g_d, g0, inside), literal_eq_10(g_d, g0, inside), atol=1e-5)
+    np.testing.assert_allclose(
+        greyscale.shape_grey(g_d, g0, inside), literal_eq_10(g_d, g0, inside), atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("level", [0.0, 7.5, -3.0])
@@ -76,7 +80,9 @@ def test_constants_normalise_to_zero(level: float) -> None:
     assert not greyscale.shape_grey(values, values, inside).any()
 
 
-@pytest.mark.parametrize("scale", [1.0, np.finfo(np.float32).tiny])  # whose quotients outside are beyond float32
+@pytest.mark.parametrize(
+    "scale", [1.0, np.finfo(np.float32).tiny]
+)  # whose quotients outside are beyond float32
 def test_normalise_spans_zero_to_one_over_the_disc_alone(scale: float) -> None:
     values = np.array([[-9, scale, 2 * scale, 3 * scale, 99]], np.float32)
     inside = np.array([[False, True, True, True, False]])
@@ -110,7 +116,9 @@ def theirs(image: F32, weight: float, **how: int) -> F32:
 def test_it_is_scikit_images_solver(weight: float, iterations: int) -> None:
     image = noisy_step(113, 151)
     before = image.copy()
-    ours, precise = (chambolle(each, weight, iterations) for each in (image, image.astype(np.float64)))
+    ours, precise = (
+        chambolle(each, weight, iterations) for each in (image, image.astype(np.float64))
+    )
     assert (ours.dtype, precise.dtype) == (np.float32, np.float64)
     assert np.array_equal(ours, theirs(image, weight, max_num_iter=iterations))
     np.testing.assert_allclose(ours, precise, atol=0.05 / 255)
@@ -148,7 +156,9 @@ def test_every_form_is_decoded(form: str) -> None:
 
 def png(width: int, height: int) -> bytes:
     def chunk(kind: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
 
     head = struct.pack(">2I5B", width, height, 8, 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
@@ -161,7 +171,10 @@ def changed(form: str, at: int, value: bytes) -> bytes:
 
 
 def tiff(width: int, height: int) -> bytes:
-    entries = b"".join(struct.pack("<2H2I", tag, 4, 1, value) for tag, value in ((256, width), (257, height), (258, 8)))
+    entries = b"".join(
+        struct.pack("<2H2I", tag, 4, 1, value)
+        for tag, value in ((256, width), (257, height), (258, 8))
+    )
     return b"II*\0" + struct.pack("<IH", 8, 3) + entries + bytes(4)
 
 
@@ -187,7 +200,10 @@ def test_a_size_that_no_camera_has_is_refused_before_it_is_decoded(
     data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(cv2, "imdecode")
-    with pytest.raises(DecodeError, match=r"found \d+x\d+ px, expected at most 8192 px per side and 16 Mi px in total"):
+    with pytest.raises(
+        DecodeError,
+        match=r"found \d+x\d+ px, expected at most 8192 px per side and 16 Mi px in total",
+    ):
         decode_image(data, FLAGS)
 
 
@@ -196,15 +212,30 @@ def test_what_is_none_of_these_forms_is_not_decoded(monkeypatch: pytest.MonkeyPa
     wide = encoded(".hdr", PICTURE.astype(np.float32))
     monkeypatch.delattr(cv2, "imdecode")
     long = changed(".png", 33, b"\xff")  # a chunk of 4 GB, which OpenCV would make room for
-    for data in (b"", b"hello", b"P7\n", b"\xff\xd8\xff\xd9", b"GIF89a", tiles, wide, png(0, 5), long):
+    for data in (
+        b"",
+        b"hello",
+        b"P7\n",
+        b"\xff\xd8\xff\xd9",
+        b"GIF89a",
+        tiles,
+        wide,
+        png(0, 5),
+        long,
+    ):
         with pytest.raises(DecodeError, match=rf"found {len(data)} bytes that are not an image"):
             decode_image(data, FLAGS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", WHOLE)
-@given(damage=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=4), cut=st.floats(0, 1))
-def test_damage_is_refused_or_passes_and_nothing_else(form: str, damage: list[tuple[float, int]], cut: float) -> None:
+@given(
+    damage=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=4),
+    cut=st.floats(0, 1),
+)
+def test_damage_is_refused_or_passes_and_nothing_else(
+    form: str, damage: list[tuple[float, int]], cut: float
+) -> None:
     bad = bytearray(WHOLE[form])
     for place, value in damage:
         bad[int(place**4 * (len(bad) - 1))] = value  # mostly in the header

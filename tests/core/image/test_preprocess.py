@@ -47,12 +47,18 @@ from tacshade_edge.types import U8, Disc, Frame
 
 @pytest.mark.parametrize("polarity", ["bright", "dark"])
 def test_a_change_is_signed_and_without_the_common_light(polarity: str) -> None:
-    preprocessor = Preprocessor(replace(calibrated(HALF, 0), polarity=polarity), replace(PROFILE, tv_weight=0.0))
+    preprocessor = Preprocessor(
+        replace(calibrated(HALF, 0), polarity=polarity), replace(PROFILE, tv_weight=0.0)
+    )
     found = preprocessor.preprocess(preprocessor.grey(pressed("ball", 3.0).image))
     g = preprocessor.ratio(found.white)
-    assert preprocessor.drift_grey(g + np.float32(7)) == pytest.approx(preprocessor.drift_grey(g) + 7, abs=1e-3)
+    assert preprocessor.drift_grey(g + np.float32(7)) == pytest.approx(
+        preprocessor.drift_grey(g) + 7, abs=1e-3
+    )
     maps, inside = GreyMapper(preprocessor).maps(found), preprocessor.rays.inside
-    expected = (g - preprocessor.drift_grey(g) - preprocessor.reference_g) * (1 if polarity == "bright" else -1)
+    expected = (g - preprocessor.drift_grey(g) - preprocessor.reference_g) * (
+        1 if polarity == "bright" else -1
+    )
     np.testing.assert_allclose(maps.g_d[inside], expected[inside], atol=1e-3)
     assert not maps.g_d[~inside].any()
 
@@ -60,7 +66,11 @@ def test_a_change_is_signed_and_without_the_common_light(polarity: str) -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
     preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES[profile])
-    images = [pressed("ball", 3.0).image, camera_faults.glare(unloaded(), 110, 190, 12), unloaded() * 0]
+    images = [
+        pressed("ball", 3.0).image,
+        camera_faults.glare(unloaded(), 110, 190, 12),
+        unloaded() * 0,
+    ]
 
     def everything(found: Preprocessed) -> tuple[object, ...]:
         arrays = (found.pixels, found.white)
@@ -70,7 +80,9 @@ def test_a_value_is_of_its_image_whatever_came_after_it(profile: str) -> None:
     found = [preprocessor.preprocess(preprocessor.grey(image)) for image in images]
     before = [everything(each) for each in found]
     assert len(set(before)) == len(images)
-    assert [everything(preprocessor.preprocess(preprocessor.grey(image))) for image in reversed(images)] == before[::-1]
+    assert [
+        everything(preprocessor.preprocess(preprocessor.grey(image))) for image in reversed(images)
+    ] == before[::-1]
     assert [everything(each) for each in found] == before
 
 
@@ -95,7 +107,9 @@ def test_glare_is_covered_and_the_rest_is_not(radius_px: float) -> None:
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 20), st.integers(0, 2**32 - 1))
-def test_the_glare_search_by_blocks_is_that_by_pixels(rows: int, cols: int, pitch: int, seed: int) -> None:
+def test_the_glare_search_by_blocks_is_that_by_pixels(
+    rows: int, cols: int, pitch: int, seed: int
+) -> None:
     """Against plain loops over blocks: the darkest pixel around each, the reference's, the lift."""
     rng = np.random.default_rng(seed)
     reference, grey = (rng.integers(0, 256, (rows, cols), dtype=np.uint8) // 3 for _ in range(2))
@@ -144,14 +158,20 @@ def test_the_halved_sensor_is_the_same_one() -> None:
     assert middle == pytest.approx((geometry.disc.row_c, geometry.disc.col_c), abs=0.02)
     assert np.sqrt(weight.sum() / np.pi) == pytest.approx(geometry.disc.radius_px, abs=0.05)
     # What a look at the halved image alone would have found.
-    assert marker_pitch_px(half.reference_grey, geometry.disc) == pytest.approx(half.pitch_px, rel=0.03)
+    assert marker_pitch_px(half.reference_grey, geometry.disc) == pytest.approx(
+        half.pitch_px, rel=0.03
+    )
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(97, 129), (192, 256)])
 def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int) -> None:
-    whole = built_calibration(rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0)
+    whole = built_calibration(
+        rows, cols, disc=Disc(rows / 2 - 1.3, cols / 2 + 3.8, 0.43 * rows), pitch_px=15.0
+    )
     preprocessor = Preprocessor(whole, PROFILES["balanced"])
-    cells_of = CellMeans(preprocessor.integrator, disc_map.map_grid(preprocessor.calibration.geometry.disc))
+    cells_of = CellMeans(
+        preprocessor.integrator, disc_map.map_grid(preprocessor.calibration.geometry.disc)
+    )
     reference_cells = cells_of.means(preprocessor.reference_white) / 255
     found = preprocessor.preprocess(preprocessor.grey(whole.reference_grey))
     # The reference is the mean of itself moved by a pixel, to a grey level of its white.
@@ -159,7 +179,9 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
     mixed = np.zeros_like(reference_cells)
     for (row, down), (col, across) in product(enumerate(MOVED_PARTS), repeat=2):
         moved = around[row : row + whole.image_height_px, col : col + whole.image_width_px]
-        mixed += down * across * cells_of.means(preprocessor.preprocess(preprocessor.grey(moved)).white)
+        mixed += (
+            down * across * cells_of.means(preprocessor.preprocess(preprocessor.grey(moved)).white)
+        )
     np.testing.assert_allclose(reference_cells, mixed, atol=0.5 / 255 + 1e-4)
     change = preprocessor.voted(preprocessor.ratio(found.white) - preprocessor.reference_g)
     assert np.abs(change).max() < 4
@@ -214,5 +236,7 @@ def test_the_contact_lies_where_it_lies_in_the_whole_image(name: str) -> None:
         profile = replace(PROFILES[name], halved=halved, stride_px=4)
         height = make_reconstructor(calibrated(FULL, 0), profile).step(frame).height
         rows, cols = np.nonzero(height.contact)
-        middles.append((height.row0 + height.step_px * rows.mean(), height.col0 + height.step_px * cols.mean()))
+        middles.append(
+            (height.row0 + height.step_px * rows.mean(), height.col0 + height.step_px * cols.mean())
+        )
     assert middles[1] == pytest.approx(middles[0], abs=3)

@@ -38,7 +38,9 @@ def exact_threshold(grey: U8, mask: U8, pitch_px: float) -> F64:
     masked[: grey.shape[0], : grey.shape[1]] = grey * (mask > 0)
 
     def blocks(values: F64) -> F64:
-        return np.asarray(values.reshape(size[0] // 4, 4, size[1] // 4, 4).mean(axis=(1, 3)), np.float64)
+        return np.asarray(
+            values.reshape(size[0] // 4, 4, size[1] // 4, 4).mean(axis=(1, 3)), np.float64
+        )
 
     weight = (blocks(inside) == 1).astype(float)
     white = blocks(masked) * weight
@@ -66,7 +68,14 @@ def exact_threshold(grey: U8, mask: U8, pitch_px: float) -> F64:
     st.sampled_from(["noise", "checkerboard", "step", "constant", "extremes"]), st.integers(0, 2**32 - 1),
 )  # fmt: skip
 def test_the_threshold_is_the_exact_one_within_its_bound(
-    height: int, width: int, row_c: float, col_c: float, radius: float, pitch: float, kind: str, seed: int
+    height: int,
+    width: int,
+    row_c: float,
+    col_c: float,
+    radius: float,
+    pitch: float,
+    kind: str,
+    seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
     mask = disc_mask(height, width, Disc(row_c, col_c, radius)).astype(np.uint8)
@@ -91,7 +100,9 @@ def test_the_threshold_is_the_exact_one_within_its_bound(
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 8), st.integers(0, 2**32 - 1))
-def test_padding_adds_below_and_right_and_halving_rounds_half_up(rows: int, cols: int, by: int, seed: int) -> None:
+def test_padding_adds_below_and_right_and_halving_rounds_half_up(
+    rows: int, cols: int, by: int, seed: int
+) -> None:
     image = np.random.default_rng(seed).integers(0, 256, (rows, cols), dtype=np.uint8)
     whole = padded(image, by, 7)
     assert whole.shape[0] % by == whole.shape[1] % by == 0
@@ -104,7 +115,17 @@ def test_padding_adds_below_and_right_and_halving_rounds_half_up(rows: int, cols
 
 
 def test_an_odd_window_is_the_nearest() -> None:
-    assert [odd(v) for v in (-3, 0, 0.4, 1, 1.9, 2.1, 3, 18.9, 37.92)] == [1, 1, 1, 1, 1, 3, 3, 19, 37]
+    assert [odd(v) for v in (-3, 0, 0.4, 1, 1.9, 2.1, 3, 18.9, 37.92)] == [
+        1,
+        1,
+        1,
+        1,
+        1,
+        3,
+        3,
+        19,
+        37,
+    ]
 
 
 @pytest.mark.parametrize("method", ["adaptive", "global", "otsu"])
@@ -135,7 +156,9 @@ def test_adaptive_survives_light_that_global_does_not() -> None:
             cv2.circle(flat, (col, row), 3, 1.0, -1)
     lit = (flat * np.linspace(45, 250, 120)[None, :]).astype(np.uint8)
     mask = np.ones((120, 120), np.uint8)
-    wrong = {m: np.mean(binarise(lit, mask, m, 10.0) != (flat > 0.5)) for m in ("adaptive", "global")}
+    wrong = {
+        m: np.mean(binarise(lit, mask, m, 10.0) != (flat > 0.5)) for m in ("adaptive", "global")
+    }
     assert wrong["adaptive"] < 0.002
     assert wrong["global"] > 0.015
 
@@ -170,7 +193,9 @@ def slow_box(values: U8, window: int, grid: Grid) -> F64:
     st.integers(1, 40), st.integers(1, 40), st.integers(0, 30), st.integers(1, 5), st.sampled_from([1, 255]),
     st.integers(0, 2**32 - 1),
 )  # fmt: skip
-def test_box_sums_are_exact(height: int, width: int, half: int, step: int, top: int, seed: int) -> None:
+def test_box_sums_are_exact(
+    height: int, width: int, half: int, step: int, top: int, seed: int
+) -> None:
     values = np.random.default_rng(seed).integers(0, top + 1, (height, width), dtype=np.uint8)
     window = Window(3, 5, height, width)
     grid, integrator = Grid.of_window(window, step), Integrator(window, half + 1)
@@ -200,7 +225,9 @@ def test_means_are_those_of_square_pixels(
         pixel = start + np.arange(size)[None, :]
         return np.clip(np.minimum(low + step, pixel + 0.5) - np.maximum(low, pixel - 0.5), 0, None)
 
-    exact = overlap(row0, 4, 3, height) @ values.astype(float) @ overlap(col0, 6, 5, width).T / step**2
+    exact = (
+        overlap(row0, 4, 3, height) @ values.astype(float) @ overlap(col0, 6, 5, width).T / step**2
+    )
     np.testing.assert_allclose(found, exact, atol=255e-4 / min(step, 1) ** 2)
 
 
@@ -210,7 +237,9 @@ def test_an_integral_beyond_int32_is_exact_too(monkeypatch: pytest.MonkeyPatch) 
     grid, integrator = Grid.of_window(Window(3, 5, 20, 24), 3), Integrator(Window(3, 5, 20, 24), 5)
     box_sums, space = BoxSums(integrator, grid, 7), integrator.space()
     for each in (values, values // 255, values):
-        np.testing.assert_array_equal(box_sums.sums(integrator.integrate(each, space)), slow_box(each, 7, grid))
+        np.testing.assert_array_equal(
+            box_sums.sums(integrator.integrate(each, space)), slow_box(each, 7, grid)
+        )
 
 
 def test_an_integral_in_space_lasts_until_the_next() -> None:
@@ -230,7 +259,12 @@ def test_a_cell_is_the_exact_mean_of_the_pixels_it_covers() -> None:
     disc = Disc(row_c=64.5, col_c=79.5, radius_px=disc_map.CELLS / disc_map.REACH / 2)
     integrator = Integrator(Window(0, 0, *image.shape), 0)
     cells = CellMeans(integrator, disc_map.map_grid(disc)).means(integrator.integrate(image))
-    first_row, first_col = round(disc.row_c + 0.5) - disc_map.CELLS // 2, round(disc.col_c + 0.5) - disc_map.CELLS // 2
+    first_row, first_col = (
+        round(disc.row_c + 0.5) - disc_map.CELLS // 2,
+        round(disc.col_c + 0.5) - disc_map.CELLS // 2,
+    )
     n = disc_map.CELLS
     assert disc_map.map_grid(disc).step_px == pytest.approx(1.0)
-    np.testing.assert_allclose(cells, image[first_row : first_row + n, first_col : first_col + n], atol=1e-3)
+    np.testing.assert_allclose(
+        cells, image[first_row : first_row + n, first_col : first_col + n], atol=1e-3
+    )

@@ -31,7 +31,9 @@ from tools.testbed.bumpy_surface import APEX_MM
 from tools.testbed.flange_plan import Turns, exact_frames
 
 TRUE = shift(12, -7, 55) @ turn((0.3, -0.2, 1.1))
-START = shift(6, 6, -5) @ Rigid(turn((0.1, -0.1, 0.1)).rotation @ TRUE.rotation, TRUE.translation_mm)
+START = shift(6, 6, -5) @ Rigid(
+    turn((0.1, -0.1, 0.1)).rotation @ TRUE.rotation, TRUE.translation_mm
+)
 DELAY_MS = 45.0
 ONE = (((0, 0, 0),) * 5,)
 YAWS = (((0, 0, 0), (90, 0, 0), (-90, 0, 0), (45, 0, 0), (-45, 0, 0)),)
@@ -51,7 +53,10 @@ def test_the_plan_finds_it_from_ten_millimetres_and_ten_degrees_wherever_the_bas
     def there(pose: Pose) -> Pose:
         return Pose(pose.t_ns, *(base @ of_pose(pose)).seven())
 
-    hung = [replace(frame, track=tuple(map(there, frame.track))) for frame in exact_frames(TRUE, DELAY_MS)]
+    hung = [
+        replace(frame, track=tuple(map(there, frame.track)))
+        for frame in exact_frames(TRUE, DELAY_MS)
+    ]
     found = find_flange(hung, START, APEX_MM)
     error, sigma = off(found), np.sqrt(np.diag(found.covariance))
     assert np.linalg.norm(error[:3]) < 0.3
@@ -64,8 +69,12 @@ def test_the_plan_finds_it_from_ten_millimetres_and_ten_degrees_wherever_the_bas
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("turns", "names"), [(ONE, "translation along x, y, z"), (YAWS, "translation along z")])
-def test_a_motion_that_is_missing_is_named_and_nothing_said_of_the_delay(turns: Turns, names: str) -> None:
+@pytest.mark.parametrize(
+    ("turns", "names"), [(ONE, "translation along x, y, z"), (YAWS, "translation along z")]
+)
+def test_a_motion_that_is_missing_is_named_and_nothing_said_of_the_delay(
+    turns: Turns, names: str
+) -> None:
     # The sensor's axes are the flange's here, so that the names are those of the plan.
     start = Rigid(np.eye(3), np.array((1.0, 2.0, 50.0)))
     found = find_flange(exact_frames(start, 0.0, turns, moving=False)[:20], start, APEX_MM)
@@ -77,16 +86,22 @@ def test_a_motion_that_is_missing_is_named_and_nothing_said_of_the_delay(turns: 
 
 def test_presses_of_one_point_in_one_place_show_nothing() -> None:
     point, pose = np.array(((0.0, 0.0, 20.0, 1.0),)), Pose(0, 0, 0, 0, 0, 1, 0, 0)
-    found = find_flange([ContactFrame(point, k, 0, (pose,)) for k in range(12)], shift(0, 0, 0), APEX_MM)
+    found = find_flange(
+        [ContactFrame(point, k, 0, (pose,)) for k in range(12)], shift(0, 0, 0), APEX_MM
+    )
     assert np.isfinite(found.covariance).all()
-    assert unseen(found).startswith("translation along x, y, z; rotation about x, y, z cannot be determined")
+    assert unseen(found).startswith(
+        "translation along x, y, z; rotation about x, y, z cannot be determined"
+    )
 
 
 def test_presses_from_opposite_sides_are_refused() -> None:
     point = np.array(((0.0, 0.0, 20.0, 1.0),))
     both = (Pose(0, 0, 0, 0, 0, 1, 0, 0), Pose(0, 0, 0, 0, 1, 0, 0, 0))
     with pytest.raises(ConfigError, match="face in opposite directions"):
-        find_flange([ContactFrame(point, k, 0, (both[k % 2],)) for k in range(12)], shift(0, 0, 0), APEX_MM)
+        find_flange(
+            [ContactFrame(point, k, 0, (both[k % 2],)) for k in range(12)], shift(0, 0, 0), APEX_MM
+        )
 
 
 MS = 10**6
@@ -119,7 +134,10 @@ def test_a_robot_at_rest_is_at_one_place_to_the_last_bit(
 
 @given(UNITS, UNITS, st.integers(-50, 150))
 def test_a_quaternion_stays_a_unit(q: tuple[float, ...], r: tuple[float, ...], t_ns: int) -> None:
-    a, b = (Pose(t, 0.0, 0.0, 0.0, *(v / math.hypot(*values) for v in values)) for t, values in ((0, q), (100, r)))
+    a, b = (
+        Pose(t, 0.0, 0.0, 0.0, *(v / math.hypot(*values) for v in values))
+        for t, values in ((0, q), (100, r))
+    )
     found = interpolate(a, b, t_ns)
     assert math.hypot(found.qw, found.qx, found.qy, found.qz) == pytest.approx(1)
 

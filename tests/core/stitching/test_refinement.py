@@ -24,7 +24,9 @@ def test_points_of_a_plane_agree_in_every_cell() -> None:
     at = np.stack((x, y, 3 + 0.2 * x - 0.1 * y), axis=1)
     cells = overlap_cells(at, np.ones(len(at)), 1.0)
     inside = (np.abs(at[:, :2]) < 8).all(axis=1)
-    assert cells.slope[inside] == pytest.approx(np.broadcast_to((0.2, -0.1), (inside.sum(), 2)), abs=0.1)
+    assert cells.slope[inside] == pytest.approx(
+        np.broadcast_to((0.2, -0.1), (inside.sum(), 2)), abs=0.1
+    )
     assert cells.height_mm[inside] == pytest.approx(at[inside, 2], abs=0.2)
     assert cells.count == 400
 
@@ -43,7 +45,10 @@ def rms(values: F64) -> F64:
 
 def test_overlaps_correct_pose_noise() -> None:
     reported = misreported(TRUE, 0)
-    before, after = rms(apex_errors(reported)), rms(apex_errors(refine_poses(PRESSES, reported, APEX, PoseError())))
+    before, after = (
+        rms(apex_errors(reported)),
+        rms(apex_errors(refine_poses(PRESSES, reported, APEX, PoseError()))),
+    )
     assert after[2] < 0.35 * before[2]
     assert (after[:2] < 0.8 * before[:2]).all()
 
@@ -75,7 +80,9 @@ def test_the_frame_does_not_matter() -> None:
     here = refine_poses(PRESSES, reported, APEX, PoseError())
     there = refine_poses(PRESSES, [base @ t for t in reported], APEX, PoseError())
     # Cells lie elsewhere, so it is the same within what cells do.
-    off = np.stack([(base @ h).apply(APEX) - t.apply(APEX) for h, t in zip(here, there, strict=True)])
+    off = np.stack(
+        [(base @ h).apply(APEX) - t.apply(APEX) for h, t in zip(here, there, strict=True)]
+    )
     assert rms(off).max() < 0.1
 
 
@@ -99,9 +106,19 @@ def test_the_robots_part_grows_with_its_error() -> None:
 
 
 def test_a_part_of_the_way() -> None:
-    far = shift(0, 0.3, 0.4) @ TRUE[5] @ shift(0, 0, APEX_MM) @ turn((0.02, 0.01, 0)) @ shift(0, 0, -APEX_MM)
+    far = (
+        shift(0, 0.3, 0.4)
+        @ TRUE[5]
+        @ shift(0, 0, APEX_MM)
+        @ turn((0.02, 0.01, 0))
+        @ shift(0, 0, -APEX_MM)
+    )
     whole = correction(TRUE[5], far, APEX)
     for part in (0.0, 0.4, 1.0):
         there = moved_by_part(TRUE[5], far, part, APEX)
-        np.testing.assert_allclose(correction(TRUE[5], there, APEX), part * np.array(whole), atol=1e-5)
-    np.testing.assert_allclose(moved_by_part(TRUE[5], far, 1.0, APEX).rotation, far.rotation, atol=1e-9)
+        np.testing.assert_allclose(
+            correction(TRUE[5], there, APEX), part * np.array(whole), atol=1e-5
+        )
+    np.testing.assert_allclose(
+        moved_by_part(TRUE[5], far, 1.0, APEX).rotation, far.rotation, atol=1e-9
+    )

@@ -106,7 +106,9 @@ FRAME_NS = 33_000_000
 def fired(depths: list[float | None]) -> list[int]:
     """Indices of the frames at which a contact came to rest; None is a frame without contact."""
     rest = RestDetector()
-    return [k for k, d in enumerate(depths) if rest.update(k * FRAME_NS + 1, d is not None, d or 0.0)]
+    return [
+        k for k, d in enumerate(depths) if rest.update(k * FRAME_NS + 1, d is not None, d or 0.0)
+    ]
 
 
 PRESS = [0.2, 0.8, 1.4, 2.0] + [2.0 + 0.01 * (k % 3) for k in range(30)] + [1.2, 0.5]
@@ -152,8 +154,13 @@ def test_wide_cells_are_divided() -> None:
     first = (geometry.disc.row_c - 31.5 * fine_px, geometry.disc.col_c - 31.5 * fine_px)
     fine = press_points(HeightMap(dent, inside, *first, fine_px), geometry)
     blocks = dent.reshape(16, 4, 16, 4).mean(axis=(1, 3)), inside[1::4, 1::4].copy()
-    wide = press_points(HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px), geometry)
-    assert len(wide.points_mm) == pytest.approx(9 * np.count_nonzero(blocks[1]))  # 0.8 mm into three
+    wide = press_points(
+        HeightMap(*blocks, first[0] + 1.5 * fine_px, first[1] + 1.5 * fine_px, 4 * fine_px),
+        geometry,
+    )
+    assert len(wide.points_mm) == pytest.approx(
+        9 * np.count_nonzero(blocks[1])
+    )  # 0.8 mm into three
     assert len(fine.points_mm) == np.count_nonzero(inside)
     middle = np.hypot(*wide.points_mm[:, :2].T) < 3
     for point in wide.points_mm[middle][::17]:
@@ -168,7 +175,13 @@ def test_normals_are_the_skins() -> None:
     contact = np.zeros((60, 60), bool)
     contact[20:40, 20:40] = True
     step_px = geometry.disc.radius_px / 40
-    height = HeightMap(flat, contact, geometry.disc.row_c - 30 * step_px, geometry.disc.col_c - 30 * step_px, step_px)
+    height = HeightMap(
+        flat,
+        contact,
+        geometry.disc.row_c - 30 * step_px,
+        geometry.disc.col_c - 30 * step_px,
+        step_px,
+    )
     touch = press_points(height, geometry)
     # Undeformed skin is the sphere.
     np.testing.assert_allclose(touch.normals, touch.points_mm / HALF.skin_radius_mm, atol=0.01)

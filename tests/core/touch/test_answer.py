@@ -43,12 +43,16 @@ def presses(rows: int, seed: int, roundness: float) -> tuple[F32, F32, F64]:
 @pytest.fixture(scope="module")
 def ball_model() -> TouchModel:
     features, imprints, labels = presses(120, 1, 0.0)
-    found = learn(features, imprints, np.ones(120), ("depth_mm",), labels, np.arange(120), "n").model
+    found = learn(
+        features, imprints, np.ones(120), ("depth_mm",), labels, np.arange(120), "n"
+    ).model
     assert found is not None
     return found
 
 
-@pytest.mark.parametrize(("roundness", "least", "most"), [(0.0, 0.97, 1.0), (1.0, 0.0, 0.05), (4.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("roundness", "least", "most"), [(0.0, 0.97, 1.0), (1.0, 0.0, 0.05), (4.0, 0.0, 0.0)]
+)
 def test_imprints_of_the_table_s_shape_belong_and_others_do_not(
     ball_model: TouchModel, roundness: float, least: float, most: float
 ) -> None:
@@ -65,7 +69,9 @@ def test_an_imprint_is_of_all_that_touches_and_its_length_the_greatest_object_s(
 
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
-    found = learn(FEATURES, IMPRINTS, np.ones(80), ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n").model
+    found = learn(
+        FEATURES, IMPRINTS, np.ones(80), ("depth_mm", "force_z_n"), LABELS, np.arange(80), "n"
+    ).model
     assert found is not None
     return found
 
@@ -82,16 +88,22 @@ def test_a_frame_like_the_table_is_answered(model: TouchModel) -> None:
 
 def test_a_light_press_has_the_ratios_of_a_deep_one() -> None:
     origin, direction = RANDOM.normal(size=(2, 9)).astype(np.float32)
-    light, deep = coordinates(origin + np.outer((2, 20), direction).astype(np.float32), origin)[:, 9:]
+    light, deep = coordinates(origin + np.outer((2, 20), direction).astype(np.float32), origin)[
+        :, 9:
+    ]
     np.testing.assert_allclose(light, deep, rtol=0.02)
     assert not coordinates(origin[None], origin)[:, 9:].any()
 
 
 def test_a_model_learnt_without_ratios_answers_as_before(model: TouchModel) -> None:
     size = len(model.origin)
-    plain = replace(model, metric=model.metric * (np.arange(2 * size) < size)[:, None].astype(np.float32))
+    plain = replace(
+        model, metric=model.metric * (np.arange(2 * size) < size)[:, None].astype(np.float32)
+    )
     older = replace(model, metric=model.metric[:size])
-    np.testing.assert_allclose(predict(older, FEATURES[0])[0], predict(plain, FEATURES[0])[0], rtol=1e-5)
+    np.testing.assert_allclose(
+        predict(older, FEATURES[0])[0], predict(plain, FEATURES[0])[0], rtol=1e-5
+    )
 
 
 def test_one_unlike_it_is_not(model: TouchModel) -> None:
@@ -110,13 +122,19 @@ def test_one_whose_imprint_does_not_belong_to_the_numbers_is_not(model: TouchMod
 
 
 def test_a_frame_without_contact_is_answered_by_its_features_alone(model: TouchModel) -> None:
-    assert touch_by_model(model, FEATURES[0], None) == touch_by_model(model, FEATURES[0], IMPRINTS[0])
+    assert touch_by_model(model, FEATURES[0], None) == touch_by_model(
+        model, FEATURES[0], IMPRINTS[0]
+    )
     assert touch_by_model(model, np.full(20, 50.0, np.float32), None).reason is not None
 
 
-def test_what_is_outside_the_labelled_range_is_named_and_its_interval_reaches_back(model: TouchModel) -> None:
+def test_what_is_outside_the_labelled_range_is_named_and_its_interval_reaches_back(
+    model: TouchModel,
+) -> None:
     any_imprint = np.zeros_like(model.imprint_precision)
-    narrow = replace(model, low=np.float32([-9, 90]), high=np.float32([9, 999]), imprint_precision=any_imprint)
+    narrow = replace(
+        model, low=np.float32([-9, 90]), high=np.float32([9, 999]), imprint_precision=any_imprint
+    )
     touch = touch_by_model(narrow, FEATURES[0], IMPRINTS[0])
     assert touch.values["depth_mm"] is not None
     force_n, sigma_n = touch.values["force_z_n"], touch.sigma["force_z_n"]

@@ -33,10 +33,20 @@ def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
     return features.astype(np.float32), labels + noise * random.normal(size=labels.shape)
 
 
-def learnt(features: F32, labels: F64, groups: I64 | None = None, names: tuple[str, ...] = NAMES) -> LearntTouch:
+def learnt(
+    features: F32, labels: F64, groups: I64 | None = None, names: tuple[str, ...] = NAMES
+) -> LearntTouch:
     imprints = np.zeros((len(features), 7), np.float32)
     rows = np.ones(len(features))
-    return learn(features, imprints, rows, names, labels, np.arange(len(features)) if groups is None else groups, "n")
+    return learn(
+        features,
+        imprints,
+        rows,
+        names,
+        labels,
+        np.arange(len(features)) if groups is None else groups,
+        "n",
+    )
 
 
 @pytest.mark.parametrize("rows", [60, 200])
@@ -44,7 +54,9 @@ def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
     found = learnt(*table(rows, 1))
     assert found.model is not None
     features, labels = table(400, 2)
-    values, sigma, alike = map(np.array, zip(*(predict(found.model, row) for row in features), strict=True))
+    values, sigma, alike = map(
+        np.array, zip(*(predict(found.model, row) for row in features), strict=True)
+    )
     error = np.abs(values - labels)
     for q, report in enumerate(found.reports):
         assert report.seen
@@ -78,7 +90,12 @@ def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
     assert [report.rows for report in found.reports] == [180, 120]
     assert found.model is not None
     fresh, truth = table(200, 8)
-    error = np.mean([np.abs(predict(found.model, row)[0] - true) for row, true in zip(fresh, truth, strict=True)])
+    error = np.mean(
+        [
+            np.abs(predict(found.model, row)[0] - true)
+            for row, true in zip(fresh, truth, strict=True)
+        ]
+    )
     assert error < 3 * NOISE
 
 
@@ -86,7 +103,9 @@ def test_frames_of_one_press_are_held_out_together() -> None:
     """Each press four times, a little other: by single frames the error would look like the label's repetition."""
     features, labels = table(40, 9, noise=0.3)
     random = np.random.default_rng(10)
-    again = np.repeat(features, 4, axis=0) + random.normal(scale=0.02, size=(160, 300)).astype(np.float32)
+    again = np.repeat(features, 4, axis=0) + random.normal(scale=0.02, size=(160, 300)).astype(
+        np.float32
+    )
     repeated = np.repeat(labels, 4, axis=0)
     alone = learnt(again, repeated).reports[0].error
     together = learnt(again, repeated, np.repeat(np.arange(40), 4)).reports[0].error

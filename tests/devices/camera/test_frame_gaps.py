@@ -20,7 +20,9 @@ def counted(numbers: list[int], jitter_ns: np.ndarray | None = None) -> int:
     """Feed the stamps of the frames with these numbers; return what was inferred."""
     gaps = FrameGaps()
     jitter = np.zeros(len(numbers), int) if jitter_ns is None else jitter_ns
-    return sum(gaps.add(7 + number * PERIOD_NS + int(j)) for number, j in zip(numbers, jitter, strict=True))
+    return sum(
+        gaps.add(7 + number * PERIOD_NS + int(j)) for number, j in zip(numbers, jitter, strict=True)
+    )
 
 
 def test_losses_before_the_period_is_known_are_counted_when_it_is() -> None:

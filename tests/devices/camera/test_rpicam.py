@@ -39,7 +39,9 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
 
 
 def source(fps: float = 50, exposure_us: int = 4000) -> RpicamSource:
-    return RpicamSource(camera=0, width_px=W, height_px=H, fps=fps, exposure_us=exposure_us, gain=2.0)
+    return RpicamSource(
+        camera=0, width_px=W, height_px=H, fps=fps, exposure_us=exposure_us, gain=2.0
+    )
 
 
 def frames(camera: RpicamSource, count: int) -> list[Frame]:
@@ -60,7 +62,8 @@ def test_the_luma_of_each_frame_and_the_sensors_time(stand_in: Callable[..., Non
     assert camera.dropped == 0
     described = camera.describe()
     assert {
-        key: described[key] for key in ("exposure", "exposure_lock", "white_balance_lock", "time_stamps", "gain")
+        key: described[key]
+        for key in ("exposure", "exposure_lock", "white_balance_lock", "time_stamps", "gain")
     } == {
         "exposure": "locked at 4000 us",
         "exposure_lock": "locked",
@@ -85,7 +88,9 @@ def test_frames_that_are_skipped_are_counted_on(stand_in: Callable[..., None]) -
     assert (frame.seq, camera.dropped) == (41, 3)
 
 
-def test_lost_frames_are_counted_and_a_reopened_camera_counts_on(stand_in: Callable[..., None]) -> None:
+def test_lost_frames_are_counted_and_a_reopened_camera_counts_on(
+    stand_in: Callable[..., None],
+) -> None:
     stand_in(lose=[30, 31, 35])
     camera = source()
     first = frames(camera, 40)
@@ -108,8 +113,16 @@ def test_first_frames_of_another_exposure_are_passed_over(stand_in: Callable[...
             ReasonCode.ABSENT,
             "exited with status 255: 'no cameras available'",
         ),
-        ({"says": "ERROR: *** failed to acquire camera /base/x ***"}, ReasonCode.IN_USE, "failed to acquire"),
-        ({"count": 1, "exposure": 2}, ReasonCode.LOST, "the program exited with status 0: 'no output'"),
+        (
+            {"says": "ERROR: *** failed to acquire camera /base/x ***"},
+            ReasonCode.IN_USE,
+            "failed to acquire",
+        ),
+        (
+            {"count": 1, "exposure": 2},
+            ReasonCode.LOST,
+            "the program exited with status 0: 'no output'",
+        ),
     ],
 )
 def test_a_program_that_ends_is_quoted(
@@ -124,9 +137,18 @@ def test_a_program_that_ends_is_quoted(
 @pytest.mark.parametrize(
     ("does", "said"),
     [
-        ({"exposure": 0.5}, "requested an exposure of 4000 us and a gain of 2, but got 2000 us and 2"),
-        ({"extra_bytes": 512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
-        ({"extra_bytes": -512}, r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)"),
+        (
+            {"exposure": 0.5},
+            "requested an exposure of 4000 us and a gain of 2, but got 2000 us and 2",
+        ),
+        (
+            {"extra_bytes": 512},
+            r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)",
+        ),
+        (
+            {"extra_bytes": -512},
+            r"found frames of another size, expected frames of 4608 bytes \(64x48 YUV\)",
+        ),
         # Nine of its frames are eight of ours, read before it describes the ninth.
         (
             {"extra_bytes": -512, "behind": 9},
@@ -171,10 +193,15 @@ def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("asked", "found"), [(None, 1), (12.5, 12.5)])
-def test_a_lens_that_moves_is_locked(stand_in: Callable[..., None], asked: float | None, found: float) -> None:
+def test_a_lens_that_moves_is_locked(
+    stand_in: Callable[..., None], asked: float | None, found: float
+) -> None:
     stand_in(lens=True)
     camera = RpicamSource(0, W, H, 50, 4000, 2.0, lens_position=asked, sensor_mode="1640:1232")
     frames(camera, 1)
     described = camera.describe()
-    assert (described["focus"], described["focus_lock"]) == (f"locked at {found:g} dioptres", "locked")
+    assert (described["focus"], described["focus_lock"]) == (
+        f"locked at {found:g} dioptres",
+        "locked",
+    )
     assert camera._command[camera._command.index("--mode") + 1] == "1640:1232"

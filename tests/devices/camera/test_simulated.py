@@ -11,7 +11,14 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.script import Script
 
-SMALL = replace(SensorModel(), image_height_px=48, image_width_px=64, row_c=23.0, col_c=31.0, disc_radius_px=20.0)
+SMALL = replace(
+    SensorModel(),
+    image_height_px=48,
+    image_width_px=64,
+    row_c=23.0,
+    col_c=31.0,
+    disc_radius_px=20.0,
+)
 SCRIPT = Script((Press(ball(5.0), depth_mm=3.0),), approach=1, hold=1, release=1, pause=1)
 
 
@@ -50,7 +57,9 @@ def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
     assert late.t_ns - first.t_ns == late.seq * 1_000_000
 
 
-def test_a_frame_that_is_skipped_is_waited_for_and_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_that_is_skipped_is_waited_for_and_not_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     camera: FrameSource = source(fps=20.0)
     camera.open()
     first = camera.read()
@@ -74,5 +83,12 @@ def test_numbering_goes_on_after_a_reopening() -> None:
     again = camera.read()
     assert again.seq == 3 + camera.dropped
     assert again.t_ns > last.t_ns
-    assert camera.describe() == {"device": "simulated", "width_px": 64, "height_px": 48, "fps": 200.0}
-    assert SimulatedSource(fps=30).describe()["fps"] == 30, "as it was asked for, without what rounding makes of it"
+    assert camera.describe() == {
+        "device": "simulated",
+        "width_px": 64,
+        "height_px": 48,
+        "fps": 200.0,
+    }
+    assert SimulatedSource(fps=30).describe()["fps"] == 30, (
+        "as it was asked for, without what rounding makes of it"
+    )

@@ -64,9 +64,14 @@ def asks_kernel() -> bool:
     return True
 
 
-@pytest.mark.skipif(not asks_kernel(), reason="QEMU's emulation of a user space passes no video request on")
+@pytest.mark.skipif(
+    not asks_kernel(), reason="QEMU's emulation of a user space passes no video request on"
+)
 def test_another_device() -> None:
-    assert why_not("/dev/null", ConfigError) == f"camera /dev/null: found another kind of device, {EXPECTED}"
+    assert (
+        why_not("/dev/null", ConfigError)
+        == f"camera /dev/null: found another kind of device, {EXPECTED}"
+    )
 
 
 def test_a_dangling_link(tmp_path: Path) -> None:
@@ -88,10 +93,23 @@ def test_reading_without_opening_and_closing_twice() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"fourcc": "H264"}, {"fourcc": "yuyv"}, {"width_px": 0}, {"height_px": -1}, {"fps": 0}, {"fps": float("nan")}],
+    [
+        {"fourcc": "H264"},
+        {"fourcc": "yuyv"},
+        {"width_px": 0},
+        {"height_px": -1},
+        {"fps": 0},
+        {"fps": float("nan")},
+    ],
 )
 def test_arguments_that_suit_no_camera(changes: dict[str, object]) -> None:
-    asked = {"device": "/dev/video0", "width_px": W, "height_px": H, "fps": 30.0, "fourcc": "YUYV"} | changes
+    asked = {
+        "device": "/dev/video0",
+        "width_px": W,
+        "height_px": H,
+        "fps": 30.0,
+        "fourcc": "YUYV",
+    } | changes
     with pytest.raises(ConfigError, match=r"^camera /dev/video0: .*expected"):
         V4l2Source(**asked)  # type: ignore[arg-type]
 
@@ -112,7 +130,9 @@ def test_luma_is_passed_on_untouched() -> None:
 
 @pytest.mark.parametrize(("fourcc", "bytes_per_px"), [("YUYV", 2), ("NV12", 1.5), ("GREY", 1)])
 @pytest.mark.parametrize("change", [-1, 1, W])
-def test_a_buffer_of_another_size_is_no_image(fourcc: str, bytes_per_px: float, change: int) -> None:
+def test_a_buffer_of_another_size_is_no_image(
+    fourcc: str, bytes_per_px: float, change: int
+) -> None:
     """Short after lost USB packets; longer when the driver pads its lines, which would shear the image."""
     size = int(H * W * bytes_per_px)
     assert decode(np.zeros(size, np.uint8), fourcc, H, W) is not None
@@ -132,7 +152,9 @@ def test_a_truncated_jpeg_is_no_frame(size: int) -> None:
     assert decode(JPEG[:size], "MJPG", H, W) is None
 
 
-@given(st.lists(st.tuples(st.integers(0, JPEG.size - 1), st.integers(0, 255)), min_size=1, max_size=40))
+@given(
+    st.lists(st.tuples(st.integers(0, JPEG.size - 1), st.integers(0, 255)), min_size=1, max_size=40)
+)
 def test_a_damaged_jpeg_never_raises(damage: list[tuple[int, int]]) -> None:
     bad = JPEG.copy()
     for place, value in damage:

@@ -72,7 +72,10 @@ def test_white_balance() -> None:
     assert lock_white_balance(driver) == Control(Lock.LOCKED)
     assert driver.values[BALANCE] == 0
     stays = lock_white_balance(Driver({BALANCE: 1}, frozen=(BALANCE,)))
-    assert (stays, str(stays)) == (Control(Lock.AUTOMATIC), "automatic; the driver does not lock it")
+    assert (stays, str(stays)) == (
+        Control(Lock.AUTOMATIC),
+        "automatic; the driver does not lock it",
+    )
 
 
 def test_what_else_changes_by_itself_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:

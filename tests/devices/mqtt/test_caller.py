@@ -14,12 +14,17 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 BASE = "tacshade/left"
 
 
 def caller(port: int, username: str | None = None, password: str | None = None) -> MqttCaller:
-    address = BrokerAddress(host="127.0.0.1", port=port, username=username, password=password, tls_ca=None)
+    address = BrokerAddress(
+        host="127.0.0.1", port=port, username=username, password=password, tls_ca=None
+    )
     return MqttCaller(address, sensor_id="left", verb="record", watched=("state",))
 
 
@@ -35,7 +40,9 @@ def test_its_own_reply_is_found_among_others(tmp_path: Path) -> None:
             assert request.pop("action") == "stop"
             for payload in (b"[", b"[]", b"{}", b'{"transaction": 5, "ok": true, "result": {}}'):
                 daemon.publish(f"{BASE}/res/record", payload)
-            daemon.publish(f"{BASE}/res/record", json.dumps({**request, "ok": ok, **content}).encode())
+            daemon.publish(
+                f"{BASE}/res/record", json.dumps({**request, "ok": ok, **content}).encode()
+            )
 
         thread = threading.Thread(target=answer, args=(True, {"result": {"folder": "f"}}, 1))
         thread.start()
@@ -46,7 +53,9 @@ def test_its_own_reply_is_found_among_others(tmp_path: Path) -> None:
         with pytest.raises(DeviceError, match="found none"):
             asking.ask({"action": "stop"}, 10)
         thread.join()
-        with pytest.raises(DeviceError, match=r"no answer from sensor left within 0 s; is the daemon running\?"):
+        with pytest.raises(
+            DeviceError, match=r"no answer from sensor left within 0 s; is the daemon running\?"
+        ):
             asking.ask({"action": "stop"}, 0.2)
         asking.stop()
 
@@ -58,7 +67,9 @@ def test_a_request_that_the_access_rules_deny_is_reported_at_once(tmp_path: Path
     with Broker(tmp_path, more=(f"acl_file {rules}",)) as broker:
         asking = caller(broker.port)
         asking.start()
-        denied = "rejects tacshade/left/req/record: Not authorized; change the broker's access rules"
+        denied = (
+            "rejects tacshade/left/req/record: Not authorized; change the broker's access rules"
+        )
         with pytest.raises(DeviceError, match=denied) as no:
             asking.ask({"action": "stop"}, 600)
         assert no.value.code is ReasonCode.REFUSED
@@ -69,7 +80,8 @@ def test_a_broker_that_does_not_let_us_in_is_reported(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "secret"}) as broker:
         refused = caller(broker.port, "hand", "wrong")
         with pytest.raises(
-            DeviceError, match=rf"127\.0\.0\.1:{broker.port}: rejects the connection: Not authorized; expected a broker"
+            DeviceError,
+            match=rf"127\.0\.0\.1:{broker.port}: rejects the connection: Not authorized; expected a broker",
         ) as caught:
             refused.start()
         assert caught.value.code is ReasonCode.REFUSED

@@ -17,7 +17,10 @@ from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import wait_until
 
-pytestmark = [pytest.mark.broker, pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")]
+pytestmark = [
+    pytest.mark.broker,
+    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
+]
 
 
 @pytest.fixture
@@ -46,17 +49,23 @@ def daemon(port: int) -> Iterator[Rig]:
         rig.link.stop(2)
 
 
-def test_the_second_waits_says_for_whom_and_takes_nothing(broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_second_waits_says_for_whom_and_takes_nothing(
+    broker: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
     with daemon(broker.port) as first, Subscriber(broker.port, f"{BASE}/#", v5=True) as subscriber:
         wait_until(lambda: first.link.connected, 10, "connected")
         with daemon(broker.port) as second:
             wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "the reason")
-            reason = f"another daemon, on {socket.gethostname()}, process {os.getpid()}, is using {BASE}"
+            reason = (
+                f"another daemon, on {socket.gethostname()}, process {os.getpid()}, is using {BASE}"
+            )
             assert reason in str(second.link.reason)
             status = json.loads(subscriber.wait_for(f"{BASE}/status/rival")[-1])
             assert (status["state"], status["reason_code"]) == ("waiting", "in_use")
             assert status["process"] == os.getpid()
-            (rival, *_) = [m for m in list(subscriber.messages) if m.topic == f"{BASE}/status/rival"]
+            (rival, *_) = [
+                m for m in list(subscriber.messages) if m.topic == f"{BASE}/status/rival"
+            ]
             assert rival.properties is not None
             assert rival.properties.ContentType == "application/json"
             have = len(subscriber.of(f"{BASE}/health"))
@@ -83,7 +92,11 @@ def test_a_broker_that_restarts_gives_the_name_back_to_the_first(broker: Broker)
         with daemon(broker.port) as second:
             wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "the reason")
             broker.kill()
-            wait_until(lambda: not first.link.connected and code(second) is not ReasonCode.IN_USE, 10, "lost")
+            wait_until(
+                lambda: not first.link.connected and code(second) is not ReasonCode.IN_USE,
+                10,
+                "lost",
+            )
             broker.start()
             wait_until(lambda: code(second) is ReasonCode.IN_USE, 10, "waits again")
             assert first.link.connected
@@ -92,7 +105,11 @@ def test_a_broker_that_restarts_gives_the_name_back_to_the_first(broker: Broker)
 
 def test_what_a_dead_daemon_left_does_not_keep_anybody_out(broker: Broker) -> None:
     with Subscriber(broker.port) as other:
-        for name, payload in (("state", b"online"), ("instance", b'{"id": "x"}'), ("health", b"{}")):
+        for name, payload in (
+            ("state", b"online"),
+            ("instance", b'{"id": "x"}'),
+            ("health", b"{}"),
+        ):
             other.publish(f"{BASE}/{name}", payload, retain=True)
             other.wait_for(f"{BASE}/{name}")
     with daemon(broker.port) as late:

@@ -47,7 +47,9 @@ def test_a_bridge_hears_what_follows() -> None:
 
 
 def metrics(sensors: SensorMetrics) -> dict[tuple[str, ...], float]:
-    return {tuple(s.labels.values()): s.value for family in sensors.collect() for s in family.samples}
+    return {
+        tuple(s.labels.values()): s.value for family in sensors.collect() for s in family.samples
+    }
 
 
 def test_a_caller_hears_what_follows() -> None:
@@ -73,7 +75,9 @@ def test_the_library_hears_what_follows() -> None:
 
 
 def test_the_client_counts_it_and_hears_what_follows() -> None:
-    empty = wire.HEAD.pack(*wire.HEAD.unpack_from(HEIGHT)[:9], 0, 0, *wire.HEAD.unpack_from(HEIGHT)[11:23], 0)
+    empty = wire.HEAD.pack(
+        *wire.HEAD.unpack_from(HEIGHT)[:9], 0, 0, *wire.HEAD.unpack_from(HEIGHT)[11:23], 0
+    )
     raw = BAD, publish(b"tacshade/a/height", empty), publish(b"tacshade/a/state", b"online")
     with (
         HostileBroker(*raw, extra_codes=1) as broker,
@@ -82,7 +86,9 @@ def test_the_client_counts_it_and_hears_what_follows() -> None:
         message = heard.get(patience(5))
         assert message is not None
         assert message.value == "online"
-        assert heard.refused == len(BAD_TOPICS) - 4 + 1  # four are below tacshade/, as those that were unsubscribed
+        assert (
+            heard.refused == len(BAD_TOPICS) - 4 + 1
+        )  # four are below tacshade/, as those that were unsubscribed
 
 
 def test_a_dead_thread_of_the_client_raises_in_get(monkeypatch: pytest.MonkeyPatch) -> None:

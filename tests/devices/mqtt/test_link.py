@@ -48,9 +48,14 @@ def unheard(rig: Rig, topic: str) -> None:
 @broker_test
 @needs_mosquitto
 class TestUp:
-    def test_published_bytes_arrive_as_they_were_and_decode(self, rig: Rig, subscriber: Subscriber) -> None:
+    def test_published_bytes_arrive_as_they_were_and_decode(
+        self, rig: Rig, subscriber: Subscriber
+    ) -> None:
         result = reconstruction(41)
-        height, cloud = (encode(result, calibration_crc32=3) for encode in (wire.encode_height, wire.encode_cloud))
+        height, cloud = (
+            encode(result, calibration_crc32=3)
+            for encode in (wire.encode_height, wire.encode_cloud)
+        )
         rig.link.offer("height", height, 41)
         rig.link.offer("cloud", cloud, 41)
         assert subscriber.wait_for(f"{BASE}/height") == [height]
@@ -62,7 +67,9 @@ class TestUp:
         assert rig.outcomes["height"] == rig.outcomes["cloud"] == [(41, "published")]
         assert not subscriber.messages[-1].retain
 
-    def test_late_subscriber_finds_the_newest_retained_values(self, rig: Rig, broker: Broker) -> None:
+    def test_late_subscriber_finds_the_newest_retained_values(
+        self, rig: Rig, broker: Broker
+    ) -> None:
         for text in ("opening", "capturing"):
             status = messages.encode_status("online", Reason(ReasonCode.STARTING, text))
             rig.link.set_retained("status/camera", status)
@@ -72,7 +79,11 @@ class TestUp:
             for topic, newest in (("state", b"degraded"), ("health", b'{"captured":1}')):
                 wait_until(lambda t=topic, n=newest: late.of(f"{BASE}/{t}")[-1:] == [n], 3, topic)
             newest_status = late.wait_for(f"{BASE}/status/camera")[-1]
-            assert json.loads(newest_status) == {"state": "online", "reason": "capturing", "reason_code": "starting"}
+            assert json.loads(newest_status) == {
+                "state": "online",
+                "reason": "capturing",
+                "reason_code": "starting",
+            }
 
     def test_a_stream_is_wanted_while_someone_listens(self, rig: Rig, broker: Broker) -> None:
         assert rig.link.has_listener("height")  # nothing is known yet
@@ -84,7 +95,9 @@ class TestUp:
             subscriber.wait_for(f"{BASE}/height")
             wait_until(lambda: rig.link.has_listener("height"), 3, "heard")
 
-    def test_stop_says_stopped_after_the_last_frame(self, broker: Broker, subscriber: Subscriber) -> None:
+    def test_stop_says_stopped_after_the_last_frame(
+        self, broker: Broker, subscriber: Subscriber
+    ) -> None:
         rig = Rig(broker.port).connect()
         for seq in range(5):
             rig.link.offer("height", seq.to_bytes(4, "big") + bytes(200_000), seq)
@@ -121,7 +134,9 @@ class TestUp:
             late.wait_for(f"{BASE}/state")
             assert late.messages[0].properties.ContentType == "text/plain"
 
-    def test_payloads_and_passwords_are_not_logged(self, broker: Broker, caplog: pytest.LogCaptureFixture) -> None:
+    def test_payloads_and_passwords_are_not_logged(
+        self, broker: Broker, caplog: pytest.LogCaptureFixture
+    ) -> None:
         caplog.set_level(logging.DEBUG)
         rig = Rig(broker.port, username="u", password="pa55word").connect()
         rig.link.offer("contact", b"pay1oad", 0)
@@ -139,7 +154,10 @@ class TestRefused:
             wrong = Rig(broker.port, username="sensor", password="wrong")
             wrong.link.start()
             wait_until(lambda: code(wrong) is ReasonCode.REFUSED, 5, "the reason")
-            assert str(wrong.link.reason) == f"127.0.0.1:{broker.port}: rejects the connection: Not authorized"
+            assert (
+                str(wrong.link.reason)
+                == f"127.0.0.1:{broker.port}: rejects the connection: Not authorized"
+            )
             assert not wrong.link.connected
             wrong.link.stop(2)
             Rig(broker.port, username="sensor", password="right").connect().link.stop(2)
@@ -165,7 +183,11 @@ class TestRefused:
             counters = rig.link.counters()
             assert counters["refused"] >= counts["refused"] + 2  # state, status/camera
             assert counters["published"] == 0
-            wait_until(lambda: rig.link.counters()["refused"] > counters["refused"], 5, "the reply is refused too")
+            wait_until(
+                lambda: rig.link.counters()["refused"] > counters["refused"],
+                5,
+                "the reply is refused too",
+            )
             rig.link.stop(2)
         reported = [record for record in caplog.records if record.levelno >= logging.WARNING]
         assert [record.getMessage() for record in reported] == [
@@ -185,7 +207,9 @@ class TestRefused:
         assert not rig.link.connected
 
     # paho leaves the socket of a failed handshake to the garbage collector
-    @pytest.mark.filterwarnings("ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning")
+    @pytest.mark.filterwarnings(
+        "ignore:Exception ignored in. <ssl.SSLSocket:pytest.PytestUnraisableExceptionWarning"
+    )
     def test_tls(self, tmp_path: Path) -> None:
         with Broker(tmp_path, tls=True) as broker:
             rig = Rig(broker.port, tls_ca=str(broker.ca)).connect()
@@ -196,7 +220,9 @@ class TestRefused:
             other = Broker(tmp_path / "other", tls=True)
             stranger = Rig(broker.port, tls_ca=str(other.ca))
             stranger.link.start()
-            wait_until(lambda: "certificate verify failed" in str(stranger.link.reason), 5, "the reason")
+            wait_until(
+                lambda: "certificate verify failed" in str(stranger.link.reason), 5, "the reason"
+            )
             stranger.link.stop(2)
 
 
@@ -219,8 +245,19 @@ def request(verb: str, payload: bytes, asked: str | None = None) -> MQTTMessage:
 @pytest.mark.parametrize(
     "asked",
     [
-        *(f"{BASE}/{topic}" for topic in ("state", "map/final", "req/status", "res", "res/", "resx/a", "RES/a")),
-        *("me/answers", "tacshade/other/res/a", "/", " ", f"/{BASE}/res/a", f"{BASE}/res/a\nb", f"{BASE}/res/+"),
+        *(
+            f"{BASE}/{topic}"
+            for topic in ("state", "map/final", "req/status", "res", "res/", "resx/a", "RES/a")
+        ),
+        *(
+            "me/answers",
+            "tacshade/other/res/a",
+            "/",
+            " ",
+            f"/{BASE}/res/a",
+            f"{BASE}/res/a\nb",
+            f"{BASE}/res/+",
+        ),
     ],
 )
 def test_a_reply_goes_below_res_whatever_topic_is_asked_for(asked: str) -> None:
@@ -236,13 +273,17 @@ def test_a_reply_goes_below_res_whatever_topic_is_asked_for(asked: str) -> None:
 @pytest.mark.parametrize("topic", ["", "/a", "a/", "a/+/b", "a/#", "a\0"])
 def test_topic_that_cannot_be_published_is_a_configuration_error(topic: str) -> None:
     with pytest.raises(ConfigError, match="expected levels"):
-        MqttLink(host="h", port=1, base_topic=topic, client_id="c", on_request=print, on_outcome=print)
+        MqttLink(
+            host="h", port=1, base_topic=topic, client_id="c", on_request=print, on_outcome=print
+        )
 
 
 @pytest.mark.parametrize("host", ["", "a..b", "x" * 70])
 def test_host_that_cannot_be_one_is_a_configuration_error(host: str) -> None:
     with pytest.raises(ConfigError, match="expected a host name"):
-        MqttLink(host=host, port=1, base_topic="t", client_id="c", on_request=print, on_outcome=print)
+        MqttLink(
+            host=host, port=1, base_topic="t", client_id="c", on_request=print, on_outcome=print
+        )
 
 
 @broker_test
@@ -271,20 +312,31 @@ class TestRequests:
             assert client.of(f"{BASE}/res/status") == []
 
     def test_garbage_is_counted_and_answered(self, rig: Rig, subscriber: Subscriber) -> None:
-        for verb, payload in (("status", b"\xff\x00"), ("profile", b'{"transaction": 5}'), ("explode", b"{}")):
+        for verb, payload in (
+            ("status", b"\xff\x00"),
+            ("profile", b'{"transaction": 5}'),
+            ("explode", b"{}"),
+        ):
             subscriber.publish(f"{BASE}/req/{verb}", payload)
             answer = json.loads(subscriber.wait_for(f"{BASE}/res/{verb}")[0])
             assert answer["ok"] is False
             assert "expected" in answer["error"]
         assert json.loads(subscriber.of(f"{BASE}/res/profile")[0])["transaction"] == 5
-        subscriber.publish(f"{BASE}/req/status", bytes(1_000_000))  # the broker never sends us that much
+        subscriber.publish(
+            f"{BASE}/req/status", bytes(1_000_000)
+        )  # the broker never sends us that much
         subscriber.publish(f"{BASE}/req/status", b"")
         assert rig.requests.get(timeout=patience(5)) == Request("status")
         assert rig.requests.empty()
-        assert rig.link.counters() | {"replies": 3, "bad_requests": 3, "requests": 1} == rig.link.counters()
+        assert (
+            rig.link.counters() | {"replies": 3, "bad_requests": 3, "requests": 1}
+            == rig.link.counters()
+        )
         assert rig.link.connected
 
-    def test_retained_request_is_not_executed_on_connecting(self, broker: Broker, subscriber: Subscriber) -> None:
+    def test_retained_request_is_not_executed_on_connecting(
+        self, broker: Broker, subscriber: Subscriber
+    ) -> None:
         subscriber.publish(f"{BASE}/req/reference", b"{}", retain=True)
         subscriber.wait_for(f"{BASE}/req/reference")
         rig = Rig(broker.port).connect()
@@ -293,7 +345,9 @@ class TestRequests:
         assert rig.requests.empty()
         rig.link.stop(2)
 
-    def test_flood_of_requests_to_a_stalled_broker_holds_few_replies(self, rig: Rig, broker: Broker) -> None:
+    def test_flood_of_requests_to_a_stalled_broker_holds_few_replies(
+        self, rig: Rig, broker: Broker
+    ) -> None:
         broker.stall()
         for _ in range(1_000):
             rig.link.reply(Request("status"), bytes(1_000))

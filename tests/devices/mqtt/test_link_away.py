@@ -7,7 +7,17 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from support.link_rig import BACK_S, BASE, Rig, broker_test, code, come_back, needs_mosquitto, numbers, offer_for
+from support.link_rig import (
+    BACK_S,
+    BASE,
+    Rig,
+    broker_test,
+    code,
+    come_back,
+    needs_mosquitto,
+    numbers,
+    offer_for,
+)
 
 from tacshade_edge.reasons import ReasonCode
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
@@ -51,7 +61,9 @@ class TestAway:
             rig.link.stop(2)
         assert rig.outcomes["height"] == [(s, "superseded") for s in range(9)] + [(9, "published")]
 
-    def test_undelivered_retained_value_does_not_come_back_over_a_newer_one(self, rig: Rig, broker: Broker) -> None:
+    def test_undelivered_retained_value_does_not_come_back_over_a_newer_one(
+        self, rig: Rig, broker: Broker
+    ) -> None:
         broker.stall()
         rig.link.set_retained("status/camera", b"old")  # sent, never acknowledged
         broker.kill()
@@ -60,7 +72,9 @@ class TestAway:
         broker.start()
         promised(lambda: rig.link.connected, BACK_S, "connected")
         with Subscriber(broker.port, f"{BASE}/#") as late:
-            rig.link.offer("contact", b"{}", 0)  # behind everything that the new connection began with
+            rig.link.offer(
+                "contact", b"{}", 0
+            )  # behind everything that the new connection began with
             late.wait_for(f"{BASE}/contact")
             assert set(late.of(f"{BASE}/status/camera")) == {b"new"}
 
@@ -71,7 +85,9 @@ class TestAway:
         stopped = threading.Event()
         threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()
         assert stopped.wait(1.5 + stretched(0.5))
-        assert rig.outcomes["height"] == [(0, "superseded")], "no broker has been there yet: nothing failed"
+        assert rig.outcomes["height"] == [(0, "superseded")], (
+            "no broker has been there yet: nothing failed"
+        )
 
 
 @broker_test
@@ -102,7 +118,11 @@ class TestStalled:
         assert counts["superseded"] + counts["failed"] > 0.3 * seconds * fps
         broker.resume()
         come_back(rig, subscriber, offered)
-        promised(lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"], BACK_S, "the newest status")
+        promised(
+            lambda: subscriber.of(f"{BASE}/status/camera")[-1:] == [b"last"],
+            BACK_S,
+            "the newest status",
+        )
         promised(lambda: subscriber.of(f"{BASE}/state")[-1:] == [b"online"], BACK_S, "online again")
         seen = numbers(subscriber)
         assert seen == sorted(set(seen))
@@ -111,18 +131,24 @@ class TestStalled:
         assert settled == list(range(settled[-1] + 1))
         assert settled[-1] >= offered
 
-    def test_short_stall_ends_with_the_newest_frame(self, rig: Rig, broker: Broker, subscriber: Subscriber) -> None:
+    def test_short_stall_ends_with_the_newest_frame(
+        self, rig: Rig, broker: Broker, subscriber: Subscriber
+    ) -> None:
         broker.stall()
         last = offer_for(rig, 1.0, fps=100, size=200_000)
         rig.link.offer("height", last.to_bytes(4, "big"), last)
         broker.resume()
         promised(lambda: numbers(subscriber)[-1:] == [last], BACK_S, "the last frame, last")
-        promised(lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome")
+        promised(
+            lambda: rig.outcomes["height"][-1:] == [(last, "published")], BACK_S, "its outcome"
+        )
         counts = rig.counts("height")
         assert counts["superseded"] > 0
         assert counts.total() == last + 1
 
-    def test_stop_ends_in_time_and_the_will_speaks(self, broker: Broker, subscriber: Subscriber) -> None:
+    def test_stop_ends_in_time_and_the_will_speaks(
+        self, broker: Broker, subscriber: Subscriber
+    ) -> None:
         rig = Rig(broker.port).connect()
         subscriber.wait_for(f"{BASE}/state")
         broker.stall()

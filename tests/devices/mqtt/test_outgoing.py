@@ -52,7 +52,9 @@ class Side:
     def __init__(self) -> None:
         self.client = FakeClient()
         self.outcomes: list[tuple[int, str]] = []
-        self.out = Outgoing(self.client, "b", "t", lambda _, seq, outcome: self.outcomes.append((seq, outcome)))  # type: ignore[arg-type]
+        self.out = Outgoing(
+            self.client, "b", "t", lambda _, seq, outcome: self.outcomes.append((seq, outcome))
+        )  # type: ignore[arg-type]
         self.out.set_retained("state", b"online")
 
     def connect(self) -> None:
@@ -104,7 +106,9 @@ def test_a_retained_value_is_sent_again_on_every_connection_and_only_the_newest(
         side.lose()
 
 
-def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     side, now = Side(), [5]
     monkeypatch.setattr(outgoing.time, "monotonic_ns", lambda: now[0])
     side.connect()
@@ -117,7 +121,9 @@ def test_a_stream_asks_for_listeners_once_a_period_and_after_every_loss(monkeypa
     now[0] = 2 * S
     assert side.out.has_listener("height")  # time to ask again
     side.out.offer("height", b"0", 0)
-    assert not side.out.has_listener("height")  # until another answer comes: else a frame is computed for nobody
+    assert not side.out.has_listener(
+        "height"
+    )  # until another answer comes: else a frame is computed for nobody
     side.lose()
     side.connect()
     assert side.out.has_listener("height")

@@ -36,13 +36,19 @@ def test_large_messages_are_refused_and_the_connection_stays(
         assert [len(payload) for payload in seen.of(f"{BASE}/height")] == [SMALL_ENOUGH] * 2
         outcomes = [outcome for _, outcome in rig.outcomes["height"]]
         assert outcomes == ["refused", "refused", "published", "refused", "published"]
-        wait_until(lambda: rig.link.counters()["refused"] == 5, 5, "the value and the reply are refused too")
+        wait_until(
+            lambda: rig.link.counters()["refused"] == 5,
+            5,
+            "the value and the reply are refused too",
+        )
         assert rig.link.counters()["losses"] == 0
         assert code(rig) is None
         assert rig.link.limited is not None
         assert rig.link.limited.code is ReasonCode.MESSAGE_SIZE_LIMIT
         rig.link.stop(2)
-    reported = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    reported = [
+        record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING
+    ]
     assert len(reported) == 1
     assert f"{BASE}/info" in reported[0]
     assert "raise message_size_limit and max_packet_size" in reported[0]
@@ -50,10 +56,14 @@ def test_large_messages_are_refused_and_the_connection_stays(
 
 @broker_test
 @needs_mosquitto
-def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(tmp_path: Path) -> None:
+def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(
+    tmp_path: Path,
+) -> None:
     with Broker(tmp_path, more=("max_packet_size 1000",)) as broker:
         rig = Rig(broker.port).connect()
-        around = packet_bytes(f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5))
+        around = packet_bytes(
+            f"{BASE}/contact", b"", publish_properties("application/json", expiry_s=5)
+        )
         for seq, extra in enumerate((-9, 0, 0, 1, 1, -1)):  # with QoS 1, then 0
             rig.link.offer("contact", bytes(1000 - around + extra), seq)
             wait_until(lambda seq=seq: rig.counts("contact").total() == seq + 1, 5, "settled")

@@ -77,8 +77,16 @@ def test_a_pulled_cable(line: tuple[int, str]) -> None:
     ("device", "error", "why"),
     [
         ("/dev/no-such-port", DeviceError, "no such device"),
-        ("/etc/hostname", ConfigError, "found another kind of file, expected a serial port's character device"),
-        ("foo://x", ConfigError, "invalid URL, protocol 'foo' not known; expected a device or a pyserial URL"),
+        (
+            "/etc/hostname",
+            ConfigError,
+            "found another kind of file, expected a serial port's character device",
+        ),
+        (
+            "foo://x",
+            ConfigError,
+            "invalid URL, protocol 'foo' not known; expected a device or a pyserial URL",
+        ),
         ("socket://127.0.0.1:9", DeviceError, "refused"),
     ],
 )
@@ -95,5 +103,7 @@ def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:
         "assert make_serial_port(None) is None;"
         "print([m for m in sys.modules if m.split('.')[0] in ('serial', 'scipy') or 'robot' in m])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
     assert done.stdout.strip() == "[]"

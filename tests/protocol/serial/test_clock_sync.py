@@ -30,7 +30,13 @@ def synchronised(name: str, seconds: float) -> list[tuple[float, float, bool]]:
         t4_ns, at_s, probed_s = clock.read_ns(t4_s), max(at_s + 1, t4_s), max(probed_s, received_s)
         while probed_s < at_s:
             if found := sync.to_robot(round(S * (1000 + probed_s))):
-                rows.append(((found.t_ns - clock.read_ns(probed_s)) / MS, found.error_ns / MS, probed_s >= 10))
+                rows.append(
+                    (
+                        (found.t_ns - clock.read_ns(probed_s)) / MS,
+                        found.error_ns / MS,
+                        probed_s >= 10,
+                    )
+                )
             probed_s += 0.1
     assert sync.counts.restarts == sync.counts.outliers == 0
     return rows
@@ -64,7 +70,9 @@ def test_error_on_each_kind_of_line(line: str, bound_ms: float) -> None:
     rows = synchronised(line, 240.0)
     assert rms_ms(rows) <= bound_ms
     assert covered(rows) >= 0.95
-    assert sum(stated for _, stated, _ in rows) / len(rows) < 10 * bound_ms  # a bound that says something
+    assert (
+        sum(stated for _, stated, _ in rows) / len(rows) < 10 * bound_ms
+    )  # a bound that says something
 
 
 @pytest.mark.parametrize("line", ["usb", "ftdi"])
@@ -88,7 +96,9 @@ class Rig:
     def robot_ns(self) -> int:
         return round((self.true_ns - 5000 * S) * self.rate) + self.ahead_ns
 
-    def exchange(self, after_ns: int = S, *, t4: Callable[[int], int | None] = lambda t4: t4) -> None:
+    def exchange(
+        self, after_ns: int = S, *, t4: Callable[[int], int | None] = lambda t4: t4
+    ) -> None:
         self.true_ns += after_ns
         t1 = self.robot_ns()
         jitter = self.rng.randrange(300_000)
@@ -136,7 +146,9 @@ def test_drift_is_found_and_a_poor_clock_is_reported() -> None:
     assert abs(rig.error_ns()) < 300_000
 
 
-@pytest.mark.parametrize("wrong", [lambda t4: t4 - 5 * S, lambda t4: t4 + 5 * S, lambda t4: t4 - 3 * MS])
+@pytest.mark.parametrize(
+    "wrong", [lambda t4: t4 - 5 * S, lambda t4: t4 + 5 * S, lambda t4: t4 - 3 * MS]
+)
 def test_times_that_contradict_themselves_are_refused(wrong: Callable[[int], int]) -> None:
     rig = Rig()
     rig.exchange(t4=wrong)
@@ -145,7 +157,9 @@ def test_times_that_contradict_themselves_are_refused(wrong: Callable[[int], int
     assert rig.sync.to_robot(rig.true_ns) is None
 
 
-def test_one_impossible_exchange_is_an_outlier_and_nothing_is_reported_until_that_is_clear() -> None:
+def test_one_impossible_exchange_is_an_outlier_and_nothing_is_reported_until_that_is_clear() -> (
+    None
+):
     rig = Rig()
     for _ in range(10):
         rig.exchange()

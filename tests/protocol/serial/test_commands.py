@@ -101,7 +101,9 @@ def test_a_port_that_was_opened() -> None:
 
 @pytest.mark.parametrize("vector", VECTORS["touches"], ids=lambda v: str(v["seq"]))
 def test_event(vector: dict[str, Any]) -> None:
-    seen = TouchSeen(vector["seq"], vector["t_ns"], vector["contact"], tuple(vector["values"].items()))
+    seen = TouchSeen(
+        vector["seq"], vector["t_ns"], vector["contact"], tuple(vector["values"].items())
+    )
     line = seal(f"EVT {seen.text()}")
     assert line.decode() == vector["line"] + "\n"
     assert (cobs_encode(b"L" + line[:-1]) + b"\0").hex() == vector["frame"]

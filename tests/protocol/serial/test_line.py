@@ -56,7 +56,8 @@ def test_a_line_has_at_most_256_bytes_with_its_end() -> None:
     assert len(seal(longest)) == LINE_BYTES_MAX
     assert isinstance(parse_line(seal(longest)[:-1]), Line)
     too_long = Reason(
-        ReasonCode.NOT_A_LINE, "found an unprintable or overlong line, expected at most 255 printable ASCII characters"
+        ReasonCode.NOT_A_LINE,
+        "found an unprintable or overlong line, expected at most 255 printable ASCII characters",
     )
     assert parse_line(seal(longest + "x")[:-1]) == too_long
 
@@ -78,7 +79,12 @@ def test_binary_pose(vector: dict[str, Any]) -> None:
     assert decode_pose(bytes.fromhex(vector["hex"])) == sample
 
 
-@given(st.integers(0, 65535), st.integers(0, 2**63 - 1), st.tuples(*[st.floats(-1e5, 1e5, width=32)] * 3), QUATERNIONS)
+@given(
+    st.integers(0, 65535),
+    st.integers(0, 2**63 - 1),
+    st.tuples(*[st.floats(-1e5, 1e5, width=32)] * 3),
+    QUATERNIONS,
+)
 def test_poses_come_back(seq: int, t_ns: int, xyz: tuple[float, ...], q: tuple[float, ...]) -> None:
     unit = tuple(v / math.hypot(*q) for v in q)
     sample = PoseSample(seq, t_ns, (*xyz, *unit))  # type: ignore[arg-type]
@@ -151,7 +157,10 @@ def test_known_frames(data: bytes, encoded: str) -> None:
     assert cobs_decode(bytes.fromhex(encoded)) == data
 
 
-@given(st.binary(max_size=600) | st.lists(st.sampled_from([b"\0", FULL, b"\x05" * 253]), max_size=5).map(b"".join))
+@given(
+    st.binary(max_size=600)
+    | st.lists(st.sampled_from([b"\0", FULL, b"\x05" * 253]), max_size=5).map(b"".join)
+)
 def test_every_frame_comes_back_and_has_no_zero(data: bytes) -> None:
     encoded = cobs_encode(data)
     assert b"\0" not in encoded
@@ -177,9 +186,15 @@ def units(framing: Framing, data: bytes, chunk: int) -> list[Unit]:
 @pytest.mark.parametrize("chunk", [1, 7, 1000])
 def test_lines_and_frames_however_they_are_cut(chunk: int) -> None:
     framing = Framing(LinkCounts())
-    assert units(framing, b"STATUS\r\n\nHELP\r", chunk) == [Unit(b"STATUS", True), Unit(b"HELP", True)]
+    assert units(framing, b"STATUS\r\n\nHELP\r", chunk) == [
+        Unit(b"STATUS", True),
+        Unit(b"HELP", True),
+    ]
     framing.switch("BIN")
-    assert units(framing, b"\x02a\0\0\x02b\0\x02", chunk) == [Unit(b"\x02a", False), Unit(b"\x02b", False)]
+    assert units(framing, b"\x02a\0\0\x02b\0\x02", chunk) == [
+        Unit(b"\x02a", False),
+        Unit(b"\x02b", False),
+    ]
     assert len(framing._buffer) == 1
 
 

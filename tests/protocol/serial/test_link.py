@@ -15,7 +15,13 @@ from tacshade_edge.protocol.results import SessionBegun
 from tacshade_edge.protocol.serial.commands import Command
 from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
 from tacshade_edge.protocol.serial.line import parse_line, seal
-from tacshade_edge.protocol.serial.link import REPLIES_KEPT, Greeted, PoseArrived, Received, SerialLink
+from tacshade_edge.protocol.serial.link import (
+    REPLIES_KEPT,
+    Greeted,
+    PoseArrived,
+    Received,
+    SerialLink,
+)
 from tacshade_edge.protocol.serial.pose import PoseSample, encode_pose
 from tacshade_edge.reasons import Reason, ReasonCode
 
@@ -118,7 +124,11 @@ def test_a_session_of_the_vectors() -> None:
     (vector,) = VECTORS["poses"]
     (event,) = link.receive(bytes.fromhex(vector["frame"]), 5)
     assert isinstance(event, PoseArrived)
-    assert (event.sample.seq, event.sample.t_ns, event.arrived_ns) == (vector["seq"], vector["t_ns"], 5)
+    assert (event.sample.seq, event.sample.t_ns, event.arrived_ns) == (
+        vector["seq"],
+        vector["t_ns"],
+        5,
+    )
     (line,) = VECTORS["line_frames"]
     (command,) = link.receive(bytes.fromhex(line["frame"]), 6)
     assert isinstance(command, Command)
@@ -130,7 +140,9 @@ def test_a_repeated_line_gets_its_reply_again_and_is_not_done_again() -> None:
     for line in (b"#7 CAPTURE\n", b"#7 CAPTURE\n", seal("#7 CAPTURE")):
         assert desk.send(line) == ["OK 7 name=done-1"]
     assert desk.verbs() == [(7, "CAPTURE")]
-    assert desk.send(b"#7 REFERENCE\n") == ["ERR 7 REUSED found the number of another line, expected a new number"]
+    assert desk.send(b"#7 REFERENCE\n") == [
+        "ERR 7 REUSED found the number of another line, expected a new number"
+    ]
     assert desk.link.counts.repeats == 2
 
 
@@ -149,7 +161,9 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
     for seq in range(100, 100 + 2 * REPLIES_KEPT):
         desk.send(b"#%d STATUS\n" % seq)
     newest = 100 + 2 * REPLIES_KEPT - 1
-    assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [f"OK {newest - REPLIES_KEPT + 1} name=done-65"]
+    assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT + 1)) == [
+        f"OK {newest - REPLIES_KEPT + 1} name=done-65"
+    ]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
         f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected HELLO or a number above #{newest}"
     ]
@@ -159,8 +173,14 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
 def test_hello_begins_anew_unless_it_is_the_same_robot_that_repeats_itself() -> None:
     desk = Desk()
     desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n")
-    assert desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 name=done-1"]
-    assert desk.send(b"#1 HELLO 1 boot=b\n#2 CAPTURE\n") == ["OK 1 tacshade 1 crc=opt mode=ASCII", "OK 2 name=done-2"]
+    assert desk.send(b"#1 HELLO 1 boot=a\n#2 CAPTURE\n") == [
+        "OK 1 tacshade 1 crc=opt mode=ASCII",
+        "OK 2 name=done-1",
+    ]
+    assert desk.send(b"#1 HELLO 1 boot=b\n#2 CAPTURE\n") == [
+        "OK 1 tacshade 1 crc=opt mode=ASCII",
+        "OK 2 name=done-2",
+    ]
     assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 name=done-3"
     assert desk.send(b"HELLO 1\n#2 CAPTURE\n")[-1] == "OK 2 name=done-4"
     assert desk.greeted == ["a", "b", "", ""]
@@ -199,7 +219,9 @@ def test_our_own_lines_and_garbage_are_not_answered() -> None:
 
 def test_binary_mode_and_back() -> None:
     desk = Desk()
-    assert desk.send(seal("#1 MODE BIN") + frame(pose(0)) + line_frame("#2 CAPTURE") + frame(pose(2))) == [
+    assert desk.send(
+        seal("#1 MODE BIN") + frame(pose(0)) + line_frame("#2 CAPTURE") + frame(pose(2))
+    ) == [
         "OK 1 BIN",
         "OK 2 name=done-1",
     ]
@@ -213,7 +235,10 @@ def test_binary_mode_and_back() -> None:
 
 def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
     desk = Desk()
-    desk.send(b"#1 MODE BIN\n" + b"".join(frame(pose(seq)) for seq in (65533, 65535, 65535, 65533, 2, 40000, 40001)))
+    desk.send(
+        b"#1 MODE BIN\n"
+        + b"".join(frame(pose(seq)) for seq in (65533, 65535, 65535, 65533, 2, 40000, 40001))
+    )
     assert [p.missing for p in desk.poses] == [0, 1, 2, 0, 0]
     counts = desk.link.counts
     assert (counts.poses, counts.poses_lost, counts.poses_repeated) == (5, 3, 2)
@@ -222,12 +247,16 @@ def test_missing_and_repeated_poses_are_counted_by_their_numbers() -> None:
 def test_bad_poses_are_reported_once_a_second() -> None:
     desk = Desk()
     bad = b"#5 POSE 1 0 0 0 9 0 0 0\n"
-    assert desk.send(bad * 10, 0) == ["ERR 5 ARGS POSE: found a quaternion of length 9, expected length 1"]
+    assert desk.send(bad * 10, 0) == [
+        "ERR 5 ARGS POSE: found a quaternion of length 9, expected length 1"
+    ]
     assert desk.send(bad, 999_999_999) == []
     assert len(desk.send(bad, 1_000_000_000)) == 1
     assert desk.link.counts.poses_bad == 12
     desk.send(b"#1 MODE BIN\n")
-    assert desk.send(frame(encode_pose(PoseSample(1, 1, (9e9, 0, 0, 1, 0, 0, 0)))), 2_000_000_000)[0].startswith("ERR")
+    assert desk.send(frame(encode_pose(PoseSample(1, 1, (9e9, 0, 0, 1, 0, 0, 0)))), 2_000_000_000)[
+        0
+    ].startswith("ERR")
     desk.send(frame(bytes([pose(1)[0], 9]) + pose(1)[2:]))
     assert (desk.link.counts.poses_bad, desk.link.counts.damaged) == (13, 1)
 
@@ -309,9 +338,26 @@ def test_a_session_cut_repeated_reordered_and_damaged_is_done_once(binary: bool,
 
 
 _WORD = st.sampled_from(
-    ("1", "0", "-1", "nan", "1e300", "x", "../x", "crc=req", "boot=b", "BEGIN", "ADD", "END", "é", "")
+    (
+        "1",
+        "0",
+        "-1",
+        "nan",
+        "1e300",
+        "x",
+        "../x",
+        "crc=req",
+        "boot=b",
+        "BEGIN",
+        "ADD",
+        "END",
+        "é",
+        "",
+    )
 )
-_VERB = st.sampled_from(("HELLO", "SYNC", "POSE", "CAPTURE", "REFERENCE", "STATUS", "HELP", "STITCH", "TOUCH", "NOPE"))
+_VERB = st.sampled_from(
+    ("HELLO", "SYNC", "POSE", "CAPTURE", "REFERENCE", "STATUS", "HELP", "STITCH", "TOUCH", "NOPE")
+)
 _LINE = st.builds(
     lambda seq, verb, words: " ".join((seq, verb, *words)),
     st.sampled_from(("", "#7", "#70000")),
@@ -320,8 +366,16 @@ _LINE = st.builds(
 )
 
 
-@given(st.lists(st.binary(max_size=80) | _LINE.map(lambda line: line.encode()) | _LINE.filter(str.isascii).map(seal)))
-def test_whatever_comes_gets_sound_answers_and_a_greeting_is_heard_after_it(pieces: list[bytes]) -> None:
+@given(
+    st.lists(
+        st.binary(max_size=80)
+        | _LINE.map(lambda line: line.encode())
+        | _LINE.filter(str.isascii).map(seal)
+    )
+)
+def test_whatever_comes_gets_sound_answers_and_a_greeting_is_heard_after_it(
+    pieces: list[bytes],
+) -> None:
     desk = Desk()
     for piece in pieces:
         desk.send(piece + b"\n")

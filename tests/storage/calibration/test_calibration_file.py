@@ -44,7 +44,10 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
         (
             replace(painted_calibration(), error_scales={"fast": 1.25, "balanced": 0.5}),
             replace(painted_calibration(), flange_T_sensor=(1.5, -2.0, 30.0, 0.6, 0.0, 0.8, 0.0)),
-            replace(painted_calibration(), geometry=replace(painted_calibration().geometry, camera_distance_mm=None)),
+            replace(
+                painted_calibration(),
+                geometry=replace(painted_calibration().geometry, camera_distance_mm=None),
+            ),
         )
     ):
         path = tmp_path / f"{k}.npz"
@@ -100,13 +103,17 @@ def test_one_fitted_to_the_networks_before_is_read_without_its_fit(
     assert (loaded.geometry, loaded.crc32 != 0) == (fitted.geometry, True)
     np.testing.assert_array_equal(loaded.reference_white, fitted.reference_white)
     (said,) = caplog.messages
-    assert said.endswith("old.npz: ignoring the calibration's fit, which belongs to older networks; calibrate again")
+    assert said.endswith(
+        "old.npz: ignoring the calibration's fit, which belongs to older networks; calibrate again"
+    )
     caplog.clear()
     assert calibration_file.load(tmp_path / "unfitted.npz").factors == {}
     assert not caplog.messages
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "cal.npz"
     old = calibration_file.save(path, painted_calibration())
 
@@ -118,7 +125,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         calibration_file.save(path, replace(painted_calibration(), alpha=16.0))
     assert_same(calibration_file.load(path), old)
     assert os.listdir(tmp_path) == ["cal.npz"]
-    with pytest.raises(DeviceError, match=r"none/cal\.npz: cannot write the calibration: No such file"):
+    with pytest.raises(
+        DeviceError, match=r"none/cal\.npz: cannot write the calibration: No such file"
+    ):
         calibration_file.save(tmp_path / "none" / "cal.npz", old)
 
 
@@ -129,17 +138,25 @@ class Warmer(Calibration):
     warmth: Annotated[float, Meta(ge=0, le=9)] = 1.0
 
 
-def test_a_number_more_is_a_field_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_more_is_a_field_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Older files lack it and keep their checksum; its bounds hold for what a file says."""
     monkeypatch.setattr(calibration_file, "Calibration", Warmer)
-    plain = {field.name: getattr(painted_calibration(), field.name) for field in fields(Calibration)}
+    plain = {
+        field.name: getattr(painted_calibration(), field.name) for field in fields(Calibration)
+    }
     for warmth in (1.0, 2.5):
         saved = calibration_file.save(tmp_path / "c.npz", Warmer(**plain, warmth=warmth))
-        assert (saved.crc32 == calibration_file.with_crc(painted_calibration()).crc32) == (warmth == 1.0)
+        assert (saved.crc32 == calibration_file.with_crc(painted_calibration()).crc32) == (
+            warmth == 1.0
+        )
         loaded: Any = calibration_file.load(tmp_path / "c.npz")
         assert (loaded.warmth, loaded.crc32) == (warmth, saved.crc32)
     content = npz.read(str(tmp_path / "c.npz"), "", "")
-    (tmp_path / "c.npz").write_bytes(Content({**content.meta, "warmth": 10.0}, content.arrays).packed())
+    (tmp_path / "c.npz").write_bytes(
+        Content({**content.meta, "warmth": 10.0}, content.arrays).packed()
+    )
     with pytest.raises(ConfigError, match="warmth"):
         calibration_file.load(tmp_path / "c.npz")
 
@@ -154,7 +171,10 @@ _WRONG: list[tuple[str, object]] = [
     *(("error_scales", value) for value in ({"fast": 0.0}, {"fast": 1e9})),
     *(("fit", value) for value in ([], {"presses": 1.0}, {**_FIT, "presses": math.inf})),
     ("fit", {**_FIT, "fast_depth_mae_mm": 0.1}),
-    *(("flange_T_sensor", value) for value in (None, _POSE[:6], [0.0] * 7, [1e300] * 7, [math.nan, *_POSE[1:]])),
+    *(
+        ("flange_T_sensor", value)
+        for value in (None, _POSE[:6], [0.0] * 7, [1e300] * 7, [math.nan, *_POSE[1:]])
+    ),
     *(("reference_white", np.zeros(shape, np.uint8)) for shape in ((), (0, 0), (2, 2, 3))),
     ("reference_grey", np.zeros((480, 640), np.float32)),
 ]
@@ -184,7 +204,10 @@ def test_nothing_may_be_missing(tmp_path: Path, content: Content) -> None:
             calibration_file.load(written(tmp_path / "odd.npz", meta, dict(content.arrays)))
     calibration_file.load(written(tmp_path / "whole.npz", dict(content.meta), dict(content.arrays)))
     later = {**content.meta, "version": calibration_file.VERSION + 1}
-    with pytest.raises(ConfigError, match=r"later\.npz: found calibration version \d+, expected \d+; calibrate again"):
+    with pytest.raises(
+        ConfigError,
+        match=r"later\.npz: found calibration version \d+, expected \d+; calibrate again",
+    ):
         calibration_file.load(written(tmp_path / "later.npz", later, dict(content.arrays)))
 
 
@@ -194,7 +217,9 @@ def test_a_version_that_is_no_number_names_no_file(tmp_path: Path, version: obje
     calibration_file.save(tmp_path / "c.npz", painted_calibration(), inputs)
     content = npz.read(str(tmp_path / "c.npz"), "", "")
     written(tmp_path / "c.npz", {**content.meta, "version": version}, dict(content.arrays))
-    with pytest.raises(ConfigError, match=r"calibration version .*, expected \d+; calibrate again") as refusal:
+    with pytest.raises(
+        ConfigError, match=r"calibration version .*, expected \d+; calibrate again"
+    ) as refusal:
         calibrations.load(tmp_path / "c.npz")
     assert len(str(refusal.value)) < 500
     assert str(refusal.value).isprintable()
@@ -208,15 +233,27 @@ FEATURES = np.random.default_rng(0).normal(size=(60, 20)).astype(np.float32)
 @pytest.fixture(scope="module")
 def model() -> TouchModel:
     labels = FEATURES[:, :2].astype(np.float64)
-    found = learn(FEATURES, FEATURES[:, :7], np.ones(60), ("depth_mm", "force_z_n"), labels, np.arange(60), "ab").model
+    found = learn(
+        FEATURES,
+        FEATURES[:, :7],
+        np.ones(60),
+        ("depth_mm", "force_z_n"),
+        labels,
+        np.arange(60),
+        "ab",
+    ).model
     assert found is not None
     return found
 
 
-def test_networks_and_models_come_back_and_count_in_the_checksum(tmp_path: Path, model: TouchModel) -> None:
+def test_networks_and_models_come_back_and_count_in_the_checksum(
+    tmp_path: Path, model: TouchModel
+) -> None:
     path, plain = tmp_path / "c.npz", painted_calibration()
     for fitted in (FITTED, replace(FITTED, factor=1.1, error_scale=1.5)):
-        saved = calibration_file.save(path, replace(plain, fitted={"fast": fitted}, touch={"fast": model}))
+        saved = calibration_file.save(
+            path, replace(plain, fitted={"fast": fitted}, touch={"fast": model})
+        )
         loaded = calibration_file.load(path)
         assert loaded.crc32 == saved.crc32 != calibration_file.with_crc(plain).crc32
         for found in (loaded.fitted, calibration_file.fitted_in(path)):
@@ -244,18 +281,27 @@ def test_a_network_or_model_that_cannot_be_is_refused(
     tmp_path: Path, model: TouchModel, key: str, damage: dict[str, object], message: str
 ) -> None:
     path = tmp_path / "c.npz"
-    calibration_file.save(path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model}))
+    calibration_file.save(
+        path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model})
+    )
     content = npz.read(str(path), "", "")
     about = {"fast": {**content.meta[key]["fast"], **damage}}
     written(path, {**content.meta, key: about}, dict(content.arrays))
-    for read in (calibration_file.load, calibration_file.fitted_in if key == "fitted" else calibration_file.touch_in):
+    for read in (
+        calibration_file.load,
+        calibration_file.fitted_in if key == "fitted" else calibration_file.touch_in,
+    ):
         with pytest.raises(ConfigError, match=f"{message}.*; calibrate again"):
             read(path)
 
 
-def test_damaged_arrays_of_a_network_or_model_are_refused(tmp_path: Path, model: TouchModel) -> None:
+def test_damaged_arrays_of_a_network_or_model_are_refused(
+    tmp_path: Path, model: TouchModel
+) -> None:
     path = tmp_path / "c.npz"
-    calibration_file.save(path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model}))
+    calibration_file.save(
+        path, replace(painted_calibration(), fitted={"fast": FITTED}, touch={"fast": model})
+    )
     content = npz.read(str(path), "", "")
     for name in [name for name in content.arrays if name.startswith(("fitted", "touch"))]:
         array = content.arrays[name]
@@ -267,6 +313,10 @@ def test_damaged_arrays_of_a_network_or_model_are_refused(tmp_path: Path, model:
             written(path, dict(content.meta), {**content.arrays, name: other})
             with pytest.raises(ConfigError, match=message):
                 calibration_file.load(path)
-        written(path, dict(content.meta), {key: value for key, value in content.arrays.items() if key != name})
+        written(
+            path,
+            dict(content.meta),
+            {key: value for key, value in content.arrays.items() if key != name},
+        )
         with pytest.raises(ConfigError, match=r"said to be|no fitted weights"):
             calibration_file.load(path)

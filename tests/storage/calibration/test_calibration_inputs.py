@@ -11,15 +11,30 @@ from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.storage.calibration import calibration_file, reference_file
-from tacshade_edge.storage.calibration.calibration_file import IMAGES, TRIANGLES, pack_inputs, unpack_inputs, with_crc
-from tacshade_edge.storage.calibration.reference_file import StoredReference, belongs_to, path_beside
+from tacshade_edge.storage.calibration.calibration_file import (
+    IMAGES,
+    TRIANGLES,
+    pack_inputs,
+    unpack_inputs,
+    with_crc,
+)
+from tacshade_edge.storage.calibration.reference_file import (
+    StoredReference,
+    belongs_to,
+    path_beside,
+)
 from tacshade_edge.storage.npz import Content
 from tacshade_edge.types import U8
 from tools.testbed.painted_sensor import painted_calibration
 
 SHAPE = (12, 16)
 SENSOR = Sensor(
-    20.0, None, 50.0, "dark", flange_T_sensor=(1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0), print_mm={"pin_length_mm": 3.1}
+    20.0,
+    None,
+    50.0,
+    "dark",
+    flange_T_sensor=(1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0),
+    print_mm={"pin_length_mm": 3.1},
 )
 
 
@@ -41,7 +56,9 @@ PRESSES = (
 INPUTS = Inputs(SENSOR, (image(7), image(8)), PRESSES, (image(9),))
 
 
-def read(meta: dict[str, object], arrays: dict[str, object], shape: tuple[int, int] = SHAPE) -> Inputs:
+def read(
+    meta: dict[str, object], arrays: dict[str, object], shape: tuple[int, int] = SHAPE
+) -> Inputs:
     found = unpack_inputs({"inputs": meta}, {**arrays, "reference_grey": np.zeros(shape, np.uint8)})
     assert found is not None
     return found
@@ -58,7 +75,16 @@ def test_what_is_packed_comes_back(inputs: Inputs) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(inputs, name))
     for press, true in zip(found.presses, inputs.presses, strict=True):
         np.testing.assert_array_equal(press.image, true.image)
-        for name in ("name", "radius_mm", "depth_mm", "x_mm", "y_mm", "yaw_deg", "tilt_x_deg", "tilt_y_deg"):
+        for name in (
+            "name",
+            "radius_mm",
+            "depth_mm",
+            "x_mm",
+            "y_mm",
+            "yaw_deg",
+            "tilt_x_deg",
+            "tilt_y_deg",
+        ):
             assert getattr(press, name) == getattr(true, name)
         assert (press.indenter is None) == (true.indenter is None)
         if press.indenter is not None and true.indenter is not None:
@@ -66,7 +92,9 @@ def test_what_is_packed_comes_back(inputs: Inputs) -> None:
             np.testing.assert_array_equal(press.indenter.triangles_mm, true.indenter.triangles_mm)
 
 
-def test_an_indenter_is_kept_once_and_too_large_images_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_indenter_is_kept_once_and_too_large_images_are_not_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     packed = pack_inputs(INPUTS)
     assert packed is not None
     assert len(packed[1][TRIANGLES]) == 17
@@ -105,8 +133,13 @@ def test_images_of_another_size_are_refused_before_they_are_decoded() -> None:
 
 
 CALIBRATED = painted_calibration()
-ARRAYS = {"reference_white": CALIBRATED.reference_white, "reference_grey": CALIBRATED.reference_grey // 2}
-TAKEN = StoredReference(with_crc(replace(CALIBRATED, **ARRAYS, noise_grey=0.75)), 1_700_000_000_123_456_789)
+ARRAYS = {
+    "reference_white": CALIBRATED.reference_white,
+    "reference_grey": CALIBRATED.reference_grey // 2,
+}
+TAKEN = StoredReference(
+    with_crc(replace(CALIBRATED, **ARRAYS, noise_grey=0.75)), 1_700_000_000_123_456_789
+)
 
 
 @pytest.fixture
@@ -123,19 +156,29 @@ def test_what_is_stored_comes_back_and_nothing_where_nothing_is(path: Path) -> N
     assert stored.wall_ns == TAKEN.wall_ns
     assert stored.calibration.crc32 == TAKEN.calibration.crc32 != CALIBRATED.crc32
     assert stored.calibration.noise_grey == 0.75
-    np.testing.assert_array_equal(stored.calibration.reference_grey, TAKEN.calibration.reference_grey)
+    np.testing.assert_array_equal(
+        stored.calibration.reference_grey, TAKEN.calibration.reference_grey
+    )
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
 def test_it_belongs_to_a_calibration_of_the_same_images(path: Path) -> None:
     reference_file.save(path, CALIBRATED, TAKEN)
-    with pytest.raises(ConfigError, match=f"{path}: the stored reference belongs to another calibration") as caught:
-        reference_file.load(path, with_crc(replace(CALIBRATED, reference_grey=CALIBRATED.reference_grey // 2)))
+    with pytest.raises(
+        ConfigError, match=f"{path}: the stored reference belongs to another calibration"
+    ) as caught:
+        reference_file.load(
+            path, with_crc(replace(CALIBRATED, reference_grey=CALIBRATED.reference_grey // 2))
+        )
     assert caught.value.code is ReasonCode.CALIBRATION_CHANGED
-    stored = reference_file.load(path, with_crc(replace(CALIBRATED, alpha=16.0, factors={"fast": 1.1})))
+    stored = reference_file.load(
+        path, with_crc(replace(CALIBRATED, alpha=16.0, factors={"fast": 1.1}))
+    )
     assert stored is not None
     assert stored.calibration.factors == {"fast": 1.1}
-    np.testing.assert_array_equal(stored.calibration.reference_grey, TAKEN.calibration.reference_grey)
+    np.testing.assert_array_equal(
+        stored.calibration.reference_grey, TAKEN.calibration.reference_grey
+    )
 
 
 META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise_grey": 0.5}

@@ -29,7 +29,12 @@ def test_a_folder_gives_its_images_in_the_order_of_their_names_then_ends(folder:
     source = FilesSource(path=folder, fps=240, loop=False)
     source.open()
     frames = [source.read() for _ in range(4)]
-    assert [f and (f.seq, int(f.image[0, 0, 0])) for f in frames] == [(0, 0), (1, 40), (2, 80), None]
+    assert [f and (f.seq, int(f.image[0, 0, 0])) for f in frames] == [
+        (0, 0),
+        (1, 40),
+        (2, 80),
+        None,
+    ]
     assert source.read() is None
     assert source.describe() == {"path": str(folder), "fps": 240, "images": 3}
     source.close()
@@ -38,7 +43,9 @@ def test_a_folder_gives_its_images_in_the_order_of_their_names_then_ends(folder:
 
 def test_a_table_gives_the_order_and_the_poses(folder: Path) -> None:
     table = folder / "frames.csv"
-    table.write_text("image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us\n2.png,5,1,2,3,1,0,0,0,7\n0.png,6,,,,,,,,\n")
+    table.write_text(
+        "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us\n2.png,5,1,2,3,1,0,0,0,7\n0.png,6,,,,,,,,\n"
+    )
     source = FilesSource(path=folder, fps=240, loop=False)
     source.open()
     first, second, end = (source.read() for _ in range(3))
@@ -109,20 +116,29 @@ def test_a_damaged_image_and_one_of_another_size_are_reported_and_passed_over(fo
             assert frame is not None
             seen.append(frame.seq)
     assert seen == [0, 2, 4]
-    assert reported[0].endswith("0b.png: found an image cut short after 60 bytes, expected a whole image")
-    assert reported[1].endswith(": 1b.png: found 64x24 px, expected 64x48 px, the first image's size")
+    assert reported[0].endswith(
+        "0b.png: found an image cut short after 60 bytes, expected a whole image"
+    )
+    assert reported[1].endswith(
+        ": 1b.png: found 64x24 px, expected 64x48 px, the first image's size"
+    )
 
 
 @pytest.mark.parametrize("name", ["list.m3u8", "list.mp4", "list.avi"])
 def test_a_list_of_videos_is_none(name: str, tmp_path: Path) -> None:
     """FFmpeg would take one, and open the files and addresses that it names."""
-    writer = cv2.VideoWriter(str(tmp_path / "part.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    writer = cv2.VideoWriter(
+        str(tmp_path / "part.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48)
+    )
     writer.write(picture(40))
     writer.release()
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0)
         for part in ("part.avi", f"http://127.0.0.1:{server.getsockname()[1]}/part.avi"):
-            for text in (f"#EXTM3U\n#EXTINF:1,\n{part}\n#EXT-X-ENDLIST\n", f"ffconcat version 1.0\nfile {part}\n"):
+            for text in (
+                f"#EXTM3U\n#EXTINF:1,\n{part}\n#EXT-X-ENDLIST\n",
+                f"ffconcat version 1.0\nfile {part}\n",
+            ):
                 (tmp_path / name).write_text(text)
                 with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
                     first_size_px(tmp_path / name)

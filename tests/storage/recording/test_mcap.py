@@ -26,7 +26,11 @@ from tacshade_edge.storage.recording.mcap import frames
 from tacshade_edge.storage.recording.mcap.writer import McapWriter, camera_message
 from tacshade_edge.storage.recording.recorder import McapRecorder, png_of
 from tacshade_edge.storage.recording.recording import RecordedFrame, Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of, events_in
+from tacshade_edge.storage.recording.recording_content import (
+    CALIBRATION_NAME,
+    content_of,
+    events_in,
+)
 from tacshade_edge.types import U8, Frame, Pose
 from tools.testbed.painted_sensor import painted_calibration
 
@@ -84,11 +88,17 @@ def seqs(folder: Path) -> list[int]:
     for recorded in frames:
         was = frame(int(recorded.name[:6]))
         np.testing.assert_array_equal(recorded.frame.image, was.image)
-        assert (recorded.frame.t_ns, recorded.frame.pose, recorded.wall_ns) == (was.t_ns, was.pose, was.wall_ns)
+        assert (recorded.frame.t_ns, recorded.frame.pose, recorded.wall_ns) == (
+            was.t_ns,
+            was.pose,
+            was.wall_ns,
+        )
     return [int(recorded.name[:6]) for recorded in frames]
 
 
-def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_opens_whole_and_each_of_its_files_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(recorder_module, "FILE_NS_MAX", 4 * PERIOD_NS)
     folder = tmp_path / "rec"
     recorder = begun(folder, 1)
@@ -105,7 +115,10 @@ def test_a_recording_opens_whole_and_each_of_its_files_alone(tmp_path: Path, mon
     for name in files:
         with (folder / name).open("rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
-            assert {found.name for found in reader.iter_attachments()} == {CALIBRATION_NAME, "settings.yaml"}
+            assert {found.name for found in reader.iter_attachments()} == {
+                CALIBRATION_NAME,
+                "settings.yaml",
+            }
             assert (summary := reader.get_summary()) is not None
             assert len(summary.chunk_indexes) >= 3
 
@@ -130,7 +143,11 @@ def test_a_standard_reader_needs_no_first_chunk(tmp_path: Path) -> None:
     path = tmp_path / "rec" / "000.mcap"
     content = path.read_bytes()
     first, second = (begin for begin in record_starts(content)[:20] if content[begin] == CHUNK)
-    after = next(begin for begin in record_starts(content) if first < begin < second and content[begin] == SCHEMA)
+    after = next(
+        begin
+        for begin in record_starts(content)
+        if first < begin < second and content[begin] == SCHEMA
+    )
     path.write_bytes(content[:first] + content[after:])
     with path.open("rb") as stream:
         found = [channel.topic for _, channel, _ in NonSeekingReader(stream).iter_messages()]
@@ -156,7 +173,9 @@ def test_a_disk_that_fails_amid_a_record_leaves_the_frames_before(
     assert seqs(tmp_path / "rec") == [0, 1, 2]
 
 
-def test_a_loop_goes_on_in_time_and_a_file_states_its_length_unless_it_was_cut_off(tmp_path: Path) -> None:
+def test_a_loop_goes_on_in_time_and_a_file_states_its_length_unless_it_was_cut_off(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "rec.mcap"
     path.write_bytes(ours(5))
     assert Recording(path).length_ns == 4 * PERIOD_NS
@@ -205,8 +224,18 @@ def test_without_an_index_a_flipped_bit_in_any_head_costs_a_chunk_at_most(tmp_pa
 
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1e308", "NaN", "{}"])
 @pytest.mark.parametrize("key", ["x_mm", "qw", "t_ns", "pose_error_us", "image"])
-def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(tmp_path: Path, key: str, number: str) -> None:
-    about = {"image": "1.png", "seq": 1, "t_ns": 90, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qw": 1.0}
+def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(
+    tmp_path: Path, key: str, number: str
+) -> None:
+    about = {
+        "image": "1.png",
+        "seq": 1,
+        "t_ns": 90,
+        "x_mm": 1.0,
+        "y_mm": 2.0,
+        "z_mm": 3.0,
+        "qw": 1.0,
+    }
     about |= {"qx": 0.0, "qy": 0.0, "qz": 0.0, "pose_error_us": 0}
     stream = io.BytesIO()
     writer = McapWriter(stream, "left")
@@ -241,8 +270,12 @@ def _written(folder: Path, content: bytes) -> Path:
 
 RGB = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 OTHERS = {
-    "foxglove.RawImage": RawImage(width=64, height=48, encoding="rgb8", step=192, data=RGB.tobytes()),
-    "foxglove.CompressedImage": CompressedImage(data=cv2.imencode(".png", RGB[:, :, ::-1])[1].tobytes(), format="png"),
+    "foxglove.RawImage": RawImage(
+        width=64, height=48, encoding="rgb8", step=192, data=RGB.tobytes()
+    ),
+    "foxglove.CompressedImage": CompressedImage(
+        data=cv2.imencode(".png", RGB[:, :, ::-1])[1].tobytes(), format="png"
+    ),
 }
 
 
@@ -253,7 +286,9 @@ def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionT
     with path.open("wb") as stream:
         writer = Writer(stream, compression=compression)
         writer.start()
-        channel = writer.register_channel("/cam", "protobuf", writer.register_schema(schema, "protobuf", b""))
+        channel = writer.register_channel(
+            "/cam", "protobuf", writer.register_schema(schema, "protobuf", b"")
+        )
         for t_ns in (5, 9, 7):
             writer.add_message(channel, t_ns, OTHERS[schema].SerializeToString(), t_ns)
         writer.finish()
@@ -271,7 +306,14 @@ def test_a_bag_of_ros_2(tmp_path: Path) -> None:
         f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
     )
     header = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "finger"}
-    image = {"header": header, "height": 48, "width": 64, "encoding": "mono8", "is_bigendian": 0, "step": 64}
+    image = {
+        "header": header,
+        "height": 48,
+        "width": 64,
+        "encoding": "mono8",
+        "is_bigendian": 0,
+        "step": 64,
+    }
     path = tmp_path / "bag_0.mcap"
     with path.open("wb") as stream:
         writer = ros2.Writer(stream)
@@ -322,10 +364,19 @@ def test_what_is_reported_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("message", "found"),
     [
-        (RawImage(width=64, height=48, encoding="32FC1", step=256, data=b"1234"), "the encoding '32FC1'"),
+        (
+            RawImage(width=64, height=48, encoding="32FC1", step=256, data=b"1234"),
+            "the encoding '32FC1'",
+        ),
         (RawImage(width=64, height=48, encoding="mono8", step=64, data=b"1234"), "found 4 bytes"),
-        (RawImage(width=1 << 30, height=1 << 30, encoding="mono8", step=1 << 30), "expected at most"),
-        (RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)), "expected 48 rows of 3 bytes"),
+        (
+            RawImage(width=1 << 30, height=1 << 30, encoding="mono8", step=1 << 30),
+            "expected at most",
+        ),
+        (
+            RawImage(width=64, height=48, encoding="mono8", step=3, data=bytes(48 * 64)),
+            "expected 48 rows of 3 bytes",
+        ),
     ],
 )
 def test_an_image_that_is_none_is_reported(tmp_path: Path, message: RawImage, found: str) -> None:

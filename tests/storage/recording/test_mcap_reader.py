@@ -46,7 +46,9 @@ def read(path: Path, content: bytes) -> tuple[list[int], list[str]]:
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_a_chunk_that_is_not_what_it_says_is_reported_and_the_next_is_read(tmp_path: Path, packing: str) -> None:
+def test_a_chunk_that_is_not_what_it_says_is_reported_and_the_next_is_read(
+    tmp_path: Path, packing: str
+) -> None:
     inside = message(b"a", 5)
     packed, crc = PACKINGS[packing](inside), zlib.crc32(inside)
     good = chunk(packed, packing, len(inside), crc)
@@ -72,7 +74,9 @@ def test_a_chunk_that_is_not_what_it_says_is_reported_and_the_next_is_read(tmp_p
 def test_a_few_bytes_never_become_millions_of_records(tmp_path: Path) -> None:
     inside = message(b"", 5) * (CHUNK_BYTES_MAX // len(message(b"", 5)))
     packed = PACKINGS["zstd"](inside)
-    times, reported = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside), zlib.crc32(inside)) * 2))
+    times, reported = read(
+        tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside), zlib.crc32(inside)) * 2)
+    )
     assert len(times) < 100_000
     assert "expected at most 256 times the file's size" in reported[-1]
     assert len(reported) == 1
@@ -81,7 +85,9 @@ def test_a_few_bytes_never_become_millions_of_records(tmp_path: Path) -> None:
 def test_a_window_larger_than_a_chunk_is_refused(tmp_path: Path) -> None:
     inside = message(b"a", 5)
     parameters = zstandard.ZstdCompressionParameters(window_log=27, enable_ldm=True)
-    packing = zstandard.ZstdCompressor(compression_params=parameters).compressobj()  # of a size that it does not state
+    packing = zstandard.ZstdCompressor(
+        compression_params=parameters
+    ).compressobj()  # of a size that it does not state
     packed = packing.compress(inside) + packing.flush()
     times, reported = read(tmp_path / "a.mcap", file_of(chunk(packed, "zstd", len(inside))))
     assert times == []
@@ -117,18 +123,33 @@ def test_attachments(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        for name, data in (("a", b"first"), ("b", b"123456" + bytes(4)), ("a", b"last"), ("c", b"unasked")):
+        for name, data in (
+            ("a", b"first"),
+            ("b", b"123456" + bytes(4)),
+            ("a", b"last"),
+            ("c", b"unasked"),
+        ):
             writer.add_attachment(0, 0, name, "text/plain", data)
         writer.finish()
-    assert attachments_in(path, {"a": 100, "b": 100, "d": 100}) == ({"a": b"last", "b": b"123456" + bytes(4)}, [])
+    assert attachments_in(path, {"a": 100, "b": 100, "d": 100}) == (
+        {"a": b"last", "b": b"123456" + bytes(4)},
+        [],
+    )
     whole = path.read_bytes()
     data, name = whole.index(b"123456"), whole.index(b"123456") - 8 - len("text/plain") - 4 - 1
     for content, bytes_max, expected in (
         (whole, 9, f"{path}: leaving its b out: found 57 bytes, expected at most 9"),
-        (flipped(whole, data + 2, 3), 100, f"{path}: leaving its b out: its checksum does not match"),
+        (
+            flipped(whole, data + 2, 3),
+            100,
+            f"{path}: leaving its b out: its checksum does not match",
+        ),
         (flipped(whole, name, 0), 100, f"{path}: leaving its c out: its checksum does not match"),
         # The length of its data; four less would make its last bytes a checksum of 0, which stands for none.
-        *((flipped(whole, data - 8 + bit // 8, bit % 8), 100, "skipping the damaged") for bit in (0, 33, 63)),
+        *(
+            (flipped(whole, data - 8 + bit // 8, bit % 8), 100, "skipping the damaged")
+            for bit in (0, 33, 63)
+        ),
         (whole[: data - 8] + b"\6" + whole[data - 7 :], 100, "skipping the damaged"),
     ):
         path.write_bytes(content)
@@ -162,9 +183,9 @@ def test_what_the_end_says_of_the_rest(tmp_path: Path) -> None:
     assert summary is not None
     assert damage == ""
     assert {schema.name for schema in summary.schemas.values()} == {"a.B"}
-    assert [(found.topic, found.message_encoding, found.metadata) for found in summary.channels.values()] == [
-        ("/cam", "protobuf", {"ours": "yes"})
-    ]
+    assert [
+        (found.topic, found.message_encoding, found.metadata) for found in summary.channels.values()
+    ] == [("/cam", "protobuf", {"ours": "yes"})]
     assert (summary.counts, summary.span_ns) == ({1: 3}, (40, 90))
 
 
@@ -198,7 +219,9 @@ def test_what_lies_behind_a_right_checksum(tmp_path: Path) -> None:
 
 
 def test_descriptions_are_bounded(tmp_path: Path) -> None:
-    content = file_of(described(topic="/" + "a" * DESCRIPTION_BYTES_MAX) + described() + message(b"a", 5))
+    content = file_of(
+        described(topic="/" + "a" * DESCRIPTION_BYTES_MAX) + described() + message(b"a", 5)
+    )
     times, reported = read(tmp_path / "a.mcap", content)
     assert times == [5]
     assert len(reported) == 1

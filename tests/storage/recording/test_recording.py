@@ -58,9 +58,16 @@ def video(tmp_path: Path) -> Path:
 def test_a_table_gives_order_times_and_poses(folder: Path) -> None:
     rows = (folder / "frames.csv").read_text().splitlines()[1:]
     names = [rows[2].split(",")[0], rows[0].split(",")[0]]
-    (folder / "frames.csv").write_text(f"{HEADER}{names[0]},7,,,,,,,\n{names[1]},9,1,2,3,0.6,0,-0.8,0\n")
+    (folder / "frames.csv").write_text(
+        f"{HEADER}{names[0]},7,,,,,,,\n{names[1]},9,1,2,3,0.6,0,-0.8,0\n"
+    )
     first, second = every(Recording(folder))
-    assert (first.name, first.frame.seq, first.frame.t_ns, first.frame.pose) == ("000002.png", 0, 7, None)
+    assert (first.name, first.frame.seq, first.frame.t_ns, first.frame.pose) == (
+        "000002.png",
+        0,
+        7,
+        None,
+    )
     assert first.frame.image[0, 0, 0] == 20
     assert (second.name, second.frame.seq, second.frame.wall_ns) == ("000000.png", 1, 0)
     assert second.frame.pose == Pose(9, 1.0, 2.0, 3.0, 0.6, 0.0, -0.8, 0.0)
@@ -79,12 +86,20 @@ def test_a_loop_goes_on_in_number_and_time(folder: Path) -> None:
     assert [r.frame.t_ns for r in frames] == [500 + k * 10_000_000 for k in range(6)]
     assert frames[4].name == frames[1].name
     assert len(every(Recording(folder, times=0), most=50)) == 50
-    assert [r.frame.t_ns for r in every(Recording(folder / "000001.png", fps=10, times=3))] == [0, 10**8, 2 * 10**8]
+    assert [r.frame.t_ns for r in every(Recording(folder / "000001.png", fps=10, times=3))] == [
+        0,
+        10**8,
+        2 * 10**8,
+    ]
 
 
 def test_a_video_with_and_without_a_table(video: Path) -> None:
     plain = every(Recording(video, fps=50))
-    assert [(r.name, r.frame.t_ns) for r in plain] == [("0", 0), ("1", 20_000_000), ("2", 40_000_000)]
+    assert [(r.name, r.frame.t_ns) for r in plain] == [
+        ("0", 0),
+        ("1", 20_000_000),
+        ("2", 40_000_000),
+    ]
     assert [round(float(r.frame.image.mean()) / 80) for r in plain] == [0, 1, 2]
     video.with_suffix(".csv").write_text(HEADER + "0,5,,,,,,,\n1,6,,,,,,,\n2,9,,,,,,,\n")
     assert [r.frame.t_ns for r in every(Recording(video))] == [5, 6, 9]
@@ -93,9 +108,15 @@ def test_a_video_with_and_without_a_table(video: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("0,5,,,,,,,\n1,6,,,,,,,\n", "row 3 is not that of frame 2, expected one row per video frame"),
+        (
+            "0,5,,,,,,,\n1,6,,,,,,,\n",
+            "row 3 is not that of frame 2, expected one row per video frame",
+        ),
         ("0,5,,,,,,,\n2,6,,,,,,,\n", "row 2 is not that of frame 1, expected one row per"),
-        ("".join(f"{k},{k},,,,,,,\n" for k in range(4)), "found 4 rows, expected 3, one per video frame"),
+        (
+            "".join(f"{k},{k},,,,,,,\n" for k in range(4)),
+            "found 4 rows, expected 3, one per video frame",
+        ),
     ],
 )
 def test_a_table_that_is_not_the_videos(video: Path, rows: str, said: str) -> None:
@@ -116,7 +137,8 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
         Recording(folder / "frames.csv")
     with pytest.raises(
-        ConfigError, match=r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps"
+        ConfigError,
+        match=r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps",
     ):
         Recording(folder, fps=20)
 
@@ -142,7 +164,9 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
     folder = tmp_path / "new" / "rec"
     recorder = begun(folder)
     for k, image in enumerate(images):
-        assert recorder.add(Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())), png_of(image))
+        assert recorder.add(
+            Frame(10 + k, 1000 + 7 * k, 5, image, *((POSE, 431) if k == 1 else ())), png_of(image)
+        )
     recorder.event(1001, "source", {"state": "away"})
     recorder.finish({"frames": recorder.frames})
     recording = Recording(folder)
@@ -156,7 +180,12 @@ def test_what_is_recorded_is_replayed_bit_by_bit(tmp_path: Path, shape: tuple[in
         np.testing.assert_array_equal(frame.image, image)
     assert recording.read() is None
     names = {path.name for path in folder.iterdir()}
-    assert names == BESIDE | {*(f"00000{k}.png" for k in range(3)), "frames.csv", "events.jsonl", "recording.json"}
+    assert names == BESIDE | {
+        *(f"00000{k}.png" for k in range(3)),
+        "frames.csv",
+        "events.jsonl",
+        "recording.json",
+    }
     assert json.loads((folder / "recording.json").read_text()) == {"frames": 3}
     assert json.loads((folder / "events.jsonl").read_text()) == {
         "t_ns": 1001,
@@ -185,7 +214,9 @@ def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
     assert len(read_table(table, cut_off=True)) == read
 
 
-def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_at_its_floor_takes_no_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     recorders = Recorder(tmp_path / "png"), McapRecorder(tmp_path / "mcap", "left")
     for recorder in recorders:
         recorder.begin("sensor_id: a\n", painted_calibration())
@@ -201,7 +232,9 @@ def test_a_disk_at_its_floor_takes_no_frame(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_folder_that_cannot_be_taken(tmp_path: Path) -> None:
     (tmp_path / "used").mkdir()
-    with pytest.raises(ConfigError, match=r"used: already exists, expected the name of a new folder"):
+    with pytest.raises(
+        ConfigError, match=r"used: already exists, expected the name of a new folder"
+    ):
         Recorder(tmp_path / "used")
     (tmp_path / "used" / "a").touch()
     with pytest.raises(DeviceError, match=r"a: cannot write it: (File exists|Not a directory)"):
@@ -223,7 +256,10 @@ def test_times_are_whole_numbers_within_bounds(tmp_path: Path, number: str) -> N
 
 def test_what_is_too_large_is_refused(tmp_path: Path) -> None:
     lines = [json.dumps({"t_ns": 1, "kind": kind, "data": {}}) for kind in ("a", "b" * 70_000, "c")]
-    assert [event.kind for event in events_in({"events.jsonl": "\n".join(lines).encode()})] == ["a", "c"]
+    assert [event.kind for event in events_in({"events.jsonl": "\n".join(lines).encode()})] == [
+        "a",
+        "c",
+    ]
     with (tmp_path / "events.jsonl").open("wb") as stream:
         stream.truncate((8 << 20) + 1)
     with pytest.raises(ConfigError, match=r"events\.jsonl: found more than 8388608 bytes"):

@@ -29,7 +29,13 @@ def test_the_16_bit_picture_holds_the_heights(tmp_path: Path, height_mm: float) 
     scale = about["png"]["scale_mm"]
     found = np.where(levels > 0, about["png"]["z0_mm"] + (levels.astype(float) - 1) * scale, np.nan)
     np.testing.assert_allclose(found, given.z_mm, atol=0.51 * scale + 1e-5)
-    assert sorted(p.name for p in folder.iterdir()) == ["map.json", "map.npz", "map.ply", "map.png", "preview.png"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "map.json",
+        "map.npz",
+        "map.ply",
+        "map.png",
+        "preview.png",
+    ]
 
 
 @pytest.mark.parametrize("renames", [0, 1, 3, 5, 6])
@@ -51,7 +57,9 @@ def test_a_kill_leaves_no_two_maps_beside_a_manifest(
     monkeypatch.setattr(os, "replace", killed)
     with contextlib.suppress(KeyboardInterrupt):
         write_map(tmp_path, raster(rows=31, height_mm=3.0), {"revision": 2})
-    changed = {(tmp_path / name).read_bytes() != data for name, data in old.items() if name != "map.json"}
+    changed = {
+        (tmp_path / name).read_bytes() != data for name, data in old.items() if name != "map.json"
+    }
     if (tmp_path / "map.json").exists():
         assert changed == {json.loads((tmp_path / "map.json").read_text())["revision"] == 2}
     monkeypatch.undo()

@@ -61,7 +61,8 @@ def test_a_torn_press_is_kept_beside_and_the_session_goes_on(tmp_path: Path, los
 
 # In the first press's magic, size, checksum, pose and points; the others are of 108 + 600 * 28 bytes, too.
 @pytest.mark.parametrize(
-    ("press", "place", "bit"), [(0, 0, 0), (0, 4, 0), (1, 6, 4), (1, 7, 7), (1, 8, 3), (2, 30, 1), (2, 9000, 6)]
+    ("press", "place", "bit"),
+    [(0, 0, 0), (0, 4, 0), (1, 6, 4), (1, 7, 7), (1, 8, 3), (2, 30, 1), (2, 9000, 6)],
 )
 def test_a_flipped_bit_costs_one_press(
     tmp_path: Path, press: int, place: int, bit: int, caplog: pytest.LogCaptureFixture
@@ -77,7 +78,10 @@ def test_a_flipped_bit_costs_one_press(
     expected = [pose.translation_mm.tolist() for k, pose in enumerate(POSES) if k != press]
     assert [pose.translation_mm.tolist() for _, pose in found] == expected
     assert f"{one_press} bytes are damaged or incomplete" in caplog.text
-    assert f"continuing with 2 whole presses and keeping the old file as {PRESSES}.damaged-1" in caplog.text
+    assert (
+        f"continuing with 2 whole presses and keeping the old file as {PRESSES}.damaged-1"
+        in caplog.text
+    )
     assert (tmp_path / "one" / f"{PRESSES}.damaged-1").read_bytes() == data
     file.append(POINTS[press], POSES[press])
     file.close()
@@ -99,7 +103,9 @@ def test_a_press_is_taken_back(tmp_path: Path) -> None:
     assert file.info == info()
 
 
-def test_a_full_disk_leaves_no_session_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_no_session_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -165,7 +171,10 @@ _V1 = '{"name": "x", "begun_wall_ns": 5, "calibration_crc32": 7, "skin_radius_mm
     "text",
     [
         *("", "[]", '{"name": "x"}', "[" * 100_000, _V1, _V1 + ', "more": 1}'),
-        *(_V1.replace(a, b) + "}" for a, b in (("20.0", "NaN"), ("20.0", "1e300"), ('"open"', '"shut"'), ("7", "-1"))),
+        *(
+            _V1.replace(a, b) + "}"
+            for a, b in (("20.0", "NaN"), ("20.0", "1e300"), ('"open"', '"shut"'), ("7", "-1"))
+        ),
     ],
 )
 def test_a_damaged_description(tmp_path: Path, text: str) -> None:

@@ -25,7 +25,10 @@ def test_what_is_added_is_what_calibrate_reads(tmp_path: Path) -> None:
     second = folder.add([first], IMAGE, stated("press", (BALL, "4", "1", "", ""), (), 20.0))
     assert folder.taken() == [first, second]
     read, _ = read_presses(folder.presses)
-    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in read] == [(6, 2.5, 1, -3), (4, 1, None, None)]
+    assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in read] == [
+        (6, 2.5, 1, -3),
+        (4, 1, None, None),
+    ]
 
 
 def test_a_press_that_is_taken_back_leaves_nothing_and_no_number_twice(tmp_path: Path) -> None:
@@ -35,7 +38,11 @@ def test_a_press_that_is_taken_back_leaves_nothing_and_no_number_twice(tmp_path:
     folder.remove([first, second], first)
     assert folder.taken() == [second]
     assert folder.add([second], IMAGE, press()).image == "press_003.png"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["PRESSES.csv", "press_002.png", "press_003.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "PRESSES.csv",
+        "press_002.png",
+        "press_003.png",
+    ]
 
 
 def test_new_references_replace_the_old(tmp_path: Path) -> None:
@@ -48,7 +55,10 @@ def test_new_references_replace_the_old(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (("cube", "", "1", "", ""), r"indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat"),
+        (
+            ("cube", "", "1", "", ""),
+            r"indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat",
+        ),
         (("flat", "3", "1", "", ""), "radius_mm: found '3', expected nothing"),
         ((BALL, "0", "1", "", ""), "radius_mm: found 0, expected a number above 0"),
         ((BALL, "six", "1", "", ""), "radius_mm: found 'six', expected a number"),
@@ -88,7 +98,9 @@ def test_a_table_that_capture_cannot_go_on_with(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"PRESSES.csv:2: image: found no file press_001.png"):
         folder.taken()
     folder.presses.write_text(f"{PLAN_HEADER},who\n")
-    with pytest.raises(ConfigError, match=r"PRESSES.csv: ignoring unknown columns: who; delete these columns"):
+    with pytest.raises(
+        ConfigError, match=r"PRESSES.csv: ignoring unknown columns: who; delete these columns"
+    ):
         folder.taken()
     (tmp_path / "file").write_text("")
     with pytest.raises(DeviceError, match="cannot write it"):
@@ -107,7 +119,9 @@ def table(folder: Path, text: str | bytes) -> Path:
 
 
 def test_rows_become_presses(tmp_path: Path) -> None:
-    (first, second), notes = read_presses(table(tmp_path, HEADER + GOOD + "\n" + "a.png,ball,4.5,2e0,,\n"))
+    (first, second), notes = read_presses(
+        table(tmp_path, HEADER + GOOD + "\n" + "a.png,ball,4.5,2e0,,\n")
+    )
     assert notes == ()
     assert (first.radius_mm, first.depth_mm, first.x_mm, first.y_mm) == (4.5, 2.0, 1.5, -3.0)
     assert (second.x_mm, second.y_mm) == (None, None)
@@ -149,7 +163,9 @@ def test_a_named_indenter(tmp_path: Path) -> None:
         "a.png,flat,,2,,,0,0,0,0,0": (
             "x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
         ),
-        "a.png,cube,,2,0,0,0,0,0,0,0": ("indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small"),
+        "a.png,cube,,2,0,0,0,0,0,0,0": (
+            "indenter: found 'cube', expected ball or one of INDENTERS.yaml: flat, small"
+        ),
         "a.png,flat,,2,0,0,0,61,0,0,0": "tilt_x_deg: found '61', expected a number from -60 to 60",
         "a.png,flat,,2,0,0,0,0,0,nan,0": "shear_x_mm: found 'nan', expected a number",
     }.items():
@@ -162,20 +178,31 @@ def test_a_named_indenter(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("", r"PRESSES\.csv:1: found no header, expected image,indenter"),
-        (HEADER.replace("y_mm", "x_mm") + GOOD, ":1: found the header .*, expected image,.*; the header lacks y_mm"),
-        (HEADER.strip() + ",x_mm\n" + GOOD, ":1: x_mm: found 2 columns with this name, expected one"),
+        (
+            HEADER.replace("y_mm", "x_mm") + GOOD,
+            ":1: found the header .*, expected image,.*; the header lacks y_mm",
+        ),
+        (
+            HEADER.strip() + ",x_mm\n" + GOOD,
+            ":1: x_mm: found 2 columns with this name, expected one",
+        ),
         (HEADER + GOOD + "a.png,ball,4.5,2,1,2,3\n", ":3: found 7 columns, expected 6"),
         (HEADER + "a.png,cube,4.5,2,,\n", ":2: indenter: found 'cube', expected ball"),
         (HEADER + "a.png,ball,big,2,,\n", ":2: radius_mm: found 'big', expected a number"),
         (HEADER + "a.png,ball,4.5,nan,,\n", ":2: depth_mm: found 'nan', expected a number"),
-        (HEADER + "a.png,ball,4.5,2,1,\n", ":2: x_mm, y_mm: found only one value, expected both or neither"),
+        (
+            HEADER + "a.png,ball,4.5,2,1,\n",
+            ":2: x_mm, y_mm: found only one value, expected both or neither",
+        ),
         (HEADER + "none.png,ball,4.5,2,,\n", r":2: image: .*none\.png: No such file"),
         (HEADER.encode() + b"\xff\xfe\n", "not a CSV file"),
         (HEADER + '"a.png,ball\n', "not a CSV file"),
         (HEADER.encode() + b"a\0.png,ball,4.5,2,,\n", ":2: image: .*embedded null"),
     ],
 )
-def test_a_wrong_table_is_named_by_line_and_column(tmp_path: Path, text: str | bytes, said: str) -> None:
+def test_a_wrong_table_is_named_by_line_and_column(
+    tmp_path: Path, text: str | bytes, said: str
+) -> None:
     with pytest.raises(ConfigError, match=said) as refusal:
         read_presses(table(tmp_path, text))
     assert "\n" not in str(refusal.value)

@@ -17,11 +17,26 @@ from tacshade_edge.storage.tables.tables import number, read_columns
 
 def test_a_number_is_finite() -> None:
     assert number("t.csv:2", "x_mm", "-1e-3") == -0.001
-    for text in ("", "nan", "inf", "1,5", "1_0", "0x10", "\u0661\u0662", "\uff11", "\u22122", "1e400x", "1'000"):
+    for text in (
+        "",
+        "nan",
+        "inf",
+        "1,5",
+        "1_0",
+        "0x10",
+        "\u0661\u0662",
+        "\uff11",
+        "\u22122",
+        "1e400x",
+        "1'000",
+    ):
         with pytest.raises(ConfigError, match=r"^t\.csv:2: x_mm: found .*, expected a number$"):
             number("t.csv:2", "x_mm", text)
     for text in ("1e300", "-1000001"):
-        with pytest.raises(ConfigError, match=rf"^t\.csv:2: x_mm: found '{text}', expected a number from -1e\+06 to"):
+        with pytest.raises(
+            ConfigError,
+            match=rf"^t\.csv:2: x_mm: found '{text}', expected a number from -1e\+06 to",
+        ):
             number("t.csv:2", "x_mm", text)
     with pytest.raises(ConfigError) as refusal:
         number("t.csv:2", "x_mm", "\x1b[2J\n" * 10_000)
@@ -37,7 +52,9 @@ def test_a_table_has_a_most_of_rows(tmp_path: Path) -> None:
         read_columns(path, ("a", "b"), (), "numbers", rows_max=3)
 
 
-@pytest.mark.parametrize("row", ["," * 10**6, '"' + "x" * 10**6, '"\n",' * 10**6, '"' + "\n" * 10**6])
+@pytest.mark.parametrize(
+    "row", ["," * 10**6, '"' + "x" * 10**6, '"\n",' * 10**6, '"' + "\n" * 10**6]
+)
 def test_a_row_without_end_takes_no_memory(tmp_path: Path, row: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(f"a,b\n1,2\n{row}")
@@ -50,7 +67,10 @@ def test_a_row_without_end_takes_no_memory(tmp_path: Path, row: str) -> None:
 
 def test_only_a_regular_file_is_a_table(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "t.csv")
-    for path, found in ((tmp_path / "t.csv", "found no regular file"), (tmp_path / "none.csv", "No such file")):
+    for path, found in (
+        (tmp_path / "t.csv", "found no regular file"),
+        (tmp_path / "none.csv", "No such file"),
+    ):
         with pytest.raises(ConfigError, match=rf"\.csv: {found}.*, expected a CSV file of numbers"):
             read_columns(path, ("a", "b"), (), "numbers")
 
@@ -85,7 +105,9 @@ def table(folder: Path, text: str) -> Path:
 
 
 def test_labels_have_columns_in_any_order_and_empty_cells(tmp_path: Path) -> None:
-    one, two = read_labels(table(tmp_path, LABELS_HEADER + "a.png,1.5,,,-0.25,2\nb.png,,,,,\n"), tmp_path / "images")
+    one, two = read_labels(
+        table(tmp_path, LABELS_HEADER + "a.png,1.5,,,-0.25,2\nb.png,,,,,\n"), tmp_path / "images"
+    )
     assert one.path == tmp_path / "images" / "a.png"
     assert one.known == {"depth_mm": 1.5, "shear_x_mm": -0.25, "shear_y_mm": 2.0}
     assert two.known == {}
@@ -97,11 +119,23 @@ def test_labels_have_columns_in_any_order_and_empty_cells(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("image,depth\na,1\n", r"labels.csv:1: depth: found an unknown column, expected image, group and any of"),
-        ("image,group\na,1\n", r"labels.csv:1: found no quantity, expected at least one of depth_mm"),
+        (
+            "image,depth\na,1\n",
+            r"labels.csv:1: depth: found an unknown column, expected image, group and any of",
+        ),
+        (
+            "image,group\na,1\n",
+            r"labels.csv:1: found no quantity, expected at least one of depth_mm",
+        ),
         (LABELS_HEADER, "found no rows, expected one per image"),
-        (LABELS_HEADER + "a.png,deep,,,,\n", r"labels.csv:2: depth_mm: found 'deep', expected a number"),
-        (LABELS_HEADER + ",1,,,,\n", r"labels.csv:2: image: found nothing, expected the name of a file in "),
+        (
+            LABELS_HEADER + "a.png,deep,,,,\n",
+            r"labels.csv:2: depth_mm: found 'deep', expected a number",
+        ),
+        (
+            LABELS_HEADER + ",1,,,,\n",
+            r"labels.csv:2: image: found nothing, expected the name of a file in ",
+        ),
     ],
 )
 def test_a_mistake_is_reported_with_its_place(tmp_path: Path, text: str, message: str) -> None:
@@ -140,13 +174,17 @@ def test_it_is_what_the_file_says_now(tmp_path: Path) -> None:
     assert (first.shape.name, first.depth_mm, first.x_mm, first.y_mm) == ("ball", 2.5, 1.0, -3.0)
     assert second.shape.name == "cube"
     assert script.at(2) == (first, second)
-    path.write_text("indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n")
+    path.write_text(
+        "indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\ncube,,1,0,0,30\nball,6,1,0,0,\n"
+    )
     assert [press.rotation_deg for press in PressedFile(path).at(0)] == [30, 0]
     replace(path)
     assert script.at(3) == ()
 
 
-@pytest.mark.parametrize("row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"])
+@pytest.mark.parametrize(
+    "row", ["ball,six,1,0,0", "egg,,1,0,0", "cube,3,1,0,0", "ball,-1,1,0,0", "ball,6,1"]
+)
 def test_what_cannot_be_understood_is_reported_once(tmp_path: Path, row: str) -> None:
     path = tmp_path / "hand.csv"
     script = PressedFile(path)
@@ -193,17 +231,35 @@ def test_every_shape(tmp_path: Path) -> None:
     [
         ("- a\n", ":1: found a list, expected indenter names"),
         ("a: ball\n", ":1: a: found ball, expected a mapping"),
-        ("a: {shape: sphere}\n", ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh"),
-        ("a:\n  shape: box\n  size_mm: 3\n", ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm"),
-        ("a: {shape: box, length_mm: 3}\n", ":1: a.width_mm: found nothing, expected a value for shape box"),
-        ("a: {shape: ball, radius_mm: -3}\n", ":1: a.radius_mm: found -3, expected a number above 0"),
-        ("a: {shape: cone, angle_deg: 180}\n", ":1: a.angle_deg: found 180, expected a number above 0 to 175"),
+        (
+            "a: {shape: sphere}\n",
+            ":1: a.shape: found sphere, expected one of ball, bar, box, cone, cylinder, mesh",
+        ),
+        (
+            "a:\n  shape: box\n  size_mm: 3\n",
+            ":3: a.size_mm: found an unknown key, expected one of shape, radius_mm",
+        ),
+        (
+            "a: {shape: box, length_mm: 3}\n",
+            ":1: a.width_mm: found nothing, expected a value for shape box",
+        ),
+        (
+            "a: {shape: ball, radius_mm: -3}\n",
+            ":1: a.radius_mm: found -3, expected a number above 0",
+        ),
+        (
+            "a: {shape: cone, angle_deg: 180}\n",
+            ":1: a.angle_deg: found 180, expected a number above 0 to 175",
+        ),
         (
             "ball: {shape: ball, radius_mm: 3}\n",
             ":1: ball: found an entry, expected none, because this name is built in",
         ),
         ("a: {shape: mesh, file: none.stl}\n", r":1: a.file: .*none.stl: No such file"),
-        ("a: {shape: mesh, file: INDENTERS.yaml}\n", ":1: a.file: .* neither an ASCII nor a binary STL file"),
+        (
+            "a: {shape: mesh, file: INDENTERS.yaml}\n",
+            ":1: a.file: .* neither an ASCII nor a binary STL file",
+        ),
     ],
 )
 def test_a_wrong_file_is_named_by_line_and_key(tmp_path: Path, text: str, said: str) -> None:
@@ -214,8 +270,13 @@ def test_a_wrong_file_is_named_by_line_and_key(tmp_path: Path, text: str, said: 
 
 def test_a_mesh_in_metres_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "own: {shape: mesh, file: own.stl}\n")
-    (tmp_path / "own.stl").write_text(STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005"))
-    with pytest.raises(ConfigError, match=r":1: own\.file: .*a largest dimension of 0.004 mm, expected 0.5 to 500 mm"):
+    (tmp_path / "own.stl").write_text(
+        STL.replace("4", "0.004").replace("3", "0.003").replace("5", "0.005")
+    )
+    with pytest.raises(
+        ConfigError,
+        match=r":1: own\.file: .*a largest dimension of 0.004 mm, expected 0.5 to 500 mm",
+    ):
         read_indenters(path)
 
 
@@ -226,5 +287,7 @@ def test_those_to_print_come_with_their_table_and_replace_none(tmp_path: Path) -
     assert [f"{name}.stl" for name in known] == [path.name for path in solids]
     assert known["ball_6"] == 6.0
     assert len(read_plan(plan, tuple(known), 20.0)) == 5 * len(known)
-    with pytest.raises(ConfigError, match=r"INDENTERS.yaml: already exists; this command does not replace"):
+    with pytest.raises(
+        ConfigError, match=r"INDENTERS.yaml: already exists; this command does not replace"
+    ):
         write_printables(tmp_path / "print")

@@ -23,7 +23,11 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.utils.import_utils import register_third_party_plugins
 
-KEY, DEPTH, TACTILE = "observation.images.touch", "observation.images.touch_depth", "observation.tactile.touch"
+KEY, DEPTH, TACTILE = (
+    "observation.images.touch",
+    "observation.images.touch_depth",
+    "observation.tactile.touch",
+)
 FPS, WAIT_S = 20, 20
 
 
@@ -33,21 +37,29 @@ def main() -> int:
     parser.add_argument("broker")
     parser.add_argument("sensor")
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--root", type=Path, default=Path("touch"), help="a folder that is not there yet")
+    parser.add_argument(
+        "--root", type=Path, default=Path("touch"), help="a folder that is not there yet"
+    )
     args = parser.parse_args()
     register_third_party_plugins()
     from lerobot_camera_tacshade import TACTILE as TACTILE_NAMES
     from lerobot_camera_tacshade import tactile_feature
 
     # LeRobot's command line makes the same from --robot.cameras='{touch: {type: tacshade, ...}}'.
-    config = CameraConfig.get_choice_class("tacshade")(broker=args.broker, sensor=args.sensor, use_depth=True)
+    config = CameraConfig.get_choice_class("tacshade")(
+        broker=args.broker, sensor=args.sensor, use_depth=True
+    )
     camera = make_cameras_from_configs({"touch": config})["touch"]
     shape = (camera.height, camera.width, 3)
     features = {
         KEY: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
         # As LeRobot's robots declare a camera with `use_depth`.
         DEPTH: {
-            **{"dtype": "image", "shape": (*shape[:2], 1), "names": ["height", "width", "channels"]},
+            **{
+                "dtype": "image",
+                "shape": (*shape[:2], 1),
+                "names": ["height", "width", "channels"],
+            },
             **{"info": {"is_depth_map": True}},
         },
         TACTILE: tactile_feature(),
@@ -71,7 +83,9 @@ def main() -> int:
         tactile = camera.read_latest_tactile()
         numbers = {TACTILE: tactile, "observation.state": np.array([k / FPS, *tactile], np.float32)}
         nothing = np.zeros(1, np.float32)
-        dataset.add_frame({KEY: picture, DEPTH: depths[-1], **numbers, "action": nothing, "task": "be touched"})
+        dataset.add_frame(
+            {KEY: picture, DEPTH: depths[-1], **numbers, "action": nothing, "task": "be touched"}
+        )
         left_s = began_s + (k + 1) / FPS - time.monotonic()
         late += left_s < 0
         time.sleep(max(0.0, left_s))
@@ -124,23 +138,33 @@ def more(opened: LeRobotDataset, depths: list[np.ndarray]) -> dict[str, object]:
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
     off = [
-        np.abs(np.asarray(opened[k][DEPTH]).squeeze() - 1e3 * depth.squeeze()).max() for k, depth in enumerate(depths)
+        np.abs(np.asarray(opened[k][DEPTH]).squeeze() - 1e3 * depth.squeeze()).max()
+        for k, depth in enumerate(depths)
     ]
     features = dataset_to_policy_features(opened.features)
     outputs = {key: each for key, each in features.items() if each.type is FeatureType.ACTION}
     inputs = {key: each for key, each in features.items() if key in (KEY, "observation.state")}
     config = ACTConfig(
-        **{"input_features": inputs, "output_features": outputs, "pretrained_backbone_weights": None},
+        **{
+            "input_features": inputs,
+            "output_features": outputs,
+            "pretrained_backbone_weights": None,
+        },
         **{"dim_model": 64, "chunk_size": 4, "n_action_steps": 4, "device": "cpu"},
     )
     names = opened.features[TACTILE]["names"]
-    policy, frame = ACTPolicy(config).eval(), opened[int(np.argmax([depth.max() for depth in depths]))]
+    policy, frame = (
+        ACTPolicy(config).eval(),
+        opened[int(np.argmax([depth.max() for depth in depths]))],
+    )
     with torch.inference_mode():
         action = policy.select_action({key: frame[key][None] for key in inputs})
     return {
         "greatest_depth_difference_mm": float(max(off)),
         "depth_keys": list(opened.meta.depth_keys),
-        "tactile": {name: round(float(x), 3) for name, x in zip(names, frame[TACTILE], strict=True)},
+        "tactile": {
+            name: round(float(x), 3) for name, x in zip(names, frame[TACTILE], strict=True)
+        },
         "policy_inputs": sorted(inputs),
         "action": list(action.shape),
     }

@@ -63,13 +63,21 @@ class StillRobot(_Still, Robot):
     @property
     def observation_features(self) -> dict[str, Any]:
         shapes = {name: (one.height, one.width, 3) for name, one in self.cameras.items()}
-        depths = {f"{name}_depth": (one.height, one.width, 1) for name, one in self.cameras.items() if one.use_depth}
+        depths = {
+            f"{name}_depth": (one.height, one.width, 1)
+            for name, one in self.cameras.items()
+            if one.use_depth
+        }
         return self.action_features | shapes | depths
 
     def get_observation(self) -> dict[str, Any]:
         pictures = {name: one.read_latest(MAX_AGE_MS) for name, one in self.cameras.items()}
         deep = {name: one for name, one in self.cameras.items() if one.use_depth}
-        return JOINT | pictures | {f"{name}_depth": one.read_latest_depth(MAX_AGE_MS) for name, one in deep.items()}
+        return (
+            JOINT
+            | pictures
+            | {f"{name}_depth": one.read_latest_depth(MAX_AGE_MS) for name, one in deep.items()}
+        )
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         return action

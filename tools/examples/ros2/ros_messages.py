@@ -57,7 +57,9 @@ def cloud(ros: Ros, message: CloudMessage, sensor_id: str) -> Any:
         height=1,
         width=len(points),
         fields=[
-            ros.make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
+            ros.make(
+                "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1
+            )
             for name, offset, datatype in layout
         ],
         is_bigendian=False,
@@ -96,7 +98,9 @@ def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
     return ros.make(
         "geometry_msgs/msg/WrenchStamped",
         header=header(ros, touch.wall_ns, f"{sensor_id}/sensor"),
-        wrench=ros.make("geometry_msgs/msg/Wrench", force=_vector(ros, force), torque=_vector(ros, torque)),
+        wrench=ros.make(
+            "geometry_msgs/msg/Wrench", force=_vector(ros, force), torque=_vector(ros, torque)
+        ),
     )
 
 

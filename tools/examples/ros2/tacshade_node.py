@@ -47,17 +47,25 @@ def main() -> None:
     ros = Ros()
     streams = {
         "height": node.create_publisher(
-            get_message("sensor_msgs/msg/Image"), f"/tacshade/{name}/height", qos_profile_sensor_data
+            get_message("sensor_msgs/msg/Image"),
+            f"/tacshade/{name}/height",
+            qos_profile_sensor_data,
         ),
         "cloud": node.create_publisher(
-            get_message("sensor_msgs/msg/PointCloud2"), f"/tacshade/{name}/cloud", qos_profile_sensor_data
+            get_message("sensor_msgs/msg/PointCloud2"),
+            f"/tacshade/{name}/cloud",
+            qos_profile_sensor_data,
         ),
     }
     wrenches = node.create_publisher(
-        get_message("geometry_msgs/msg/WrenchStamped"), f"/tacshade/{name}/wrench", qos_profile_sensor_data
+        get_message("geometry_msgs/msg/WrenchStamped"),
+        f"/tacshade/{name}/wrench",
+        qos_profile_sensor_data,
     )
     surfaces = node.create_publisher(
-        get_message("geometry_msgs/msg/PoseStamped"), f"/tacshade/{name}/surface", qos_profile_sensor_data
+        get_message("geometry_msgs/msg/PoseStamped"),
+        f"/tacshade/{name}/surface",
+        qos_profile_sensor_data,
     )
     skin_radius_mm = 0.0
     moving = node.create_publisher(get_message("tf2_msgs/msg/TFMessage"), "/tf", 10)
@@ -68,12 +76,19 @@ def main() -> None:
         match message.value:
             case Info(geometry=geometry) if geometry is not None:
                 skin_radius_mm = geometry.skin_radius_mm
-                placed = geometry.flange_T_sensor, time.time_ns(), f"{sensor_id}/flange", f"{sensor_id}/sensor"
+                placed = (
+                    geometry.flange_T_sensor,
+                    time.time_ns(),
+                    f"{sensor_id}/flange",
+                    f"{sensor_id}/sensor",
+                )
                 fixed.publish(ros_messages.transform(ros, *placed))
             case TouchNumbers() as touch:
                 if wrench := ros_messages.wrench(ros, touch, sensor_id):
                     wrenches.publish(wrench)
-                if skin_radius_mm and (surface := ros_messages.surface(ros, touch, skin_radius_mm, sensor_id)):
+                if skin_radius_mm and (
+                    surface := ros_messages.surface(ros, touch, skin_radius_mm, sensor_id)
+                ):
                     surfaces.publish(surface)
             case HeightMessage() as height:
                 streams["height"].publish(ros_messages.image(ros, height, sensor_id))
@@ -91,7 +106,11 @@ def main() -> None:
     try:
         with listen(broker, sensor_id, ["info"]) as messages:
             while rclpy.ok():
-                wanted = {topic for topic, publisher in streams.items() if publisher.get_subscription_count()}
+                wanted = {
+                    topic
+                    for topic, publisher in streams.items()
+                    if publisher.get_subscription_count()
+                }
                 if wrenches.get_subscription_count() or surfaces.get_subscription_count():
                     wanted.add("touch")
                 messages.follow({"info", *wanted})

@@ -54,6 +54,10 @@ class Daemon:
         self.command(f"SYNC {t1}" if self.t4 is None else f"SYNC {t1} {self.t4}")
         self.t4 = time.monotonic_ns()
 
-    def pose(self, t_ns: int, x: float, y: float, z: float, qw: float, qx: float, qy: float, qz: float) -> None:
+    def pose(
+        self, t_ns: int, x: float, y: float, z: float, qw: float, qx: float, qy: float, qz: float
+    ) -> None:
         """Send the flange's pose in the base frame at `t_ns` of `time.monotonic_ns`: mm, unit quaternion."""
-        self.port.write(seal(f"POSE {t_ns} {x:.3f} {y:.3f} {z:.3f} {qw:.6f} {qx:.6f} {qy:.6f} {qz:.6f}"))
+        self.port.write(
+            seal(f"POSE {t_ns} {x:.3f} {y:.3f} {z:.3f} {qw:.6f} {qx:.6f} {qy:.6f} {qz:.6f}")
+        )

@@ -97,14 +97,24 @@ def calibrate(folder: Path, name: str, place: Scene, *, labelled: bool) -> Path:
     lines = [",".join(("image", *RANGES[name]))]
     for k in range(LABELS if labelled else 0):
         touch = {quantity: float(rng.uniform(*ends)) for quantity, ends in RANGES[name].items()}
-        cv2.imwrite(str(images / f"{k}.png"), draws.expose(draws.draw(place.skin(touch)), 100 + k)[..., 1])
+        cv2.imwrite(
+            str(images / f"{k}.png"), draws.expose(draws.draw(place.skin(touch)), 100 + k)[..., 1]
+        )
         lines.append(",".join((f"{k}.png", *(f"{value:.4f}" for value in touch.values()))))
     (images / "LABELS.csv").write_text("\n".join(lines) + "\n")
-    words: list[str | Path] = ["calibrate", "--sensor", images / "SENSOR.yaml", "--reference", *references]
+    words: list[str | Path] = [
+        "calibrate",
+        "--sensor",
+        images / "SENSOR.yaml",
+        "--reference",
+        *references,
+    ]
     words += ["--labels", images / "LABELS.csv"] if labelled else []
     made = images / "calibration.npz"
     words += ["--out", made]
-    done = subprocess.run([sys.executable, "-m", "tacshade_edge", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "tacshade_edge", *words], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise SystemExit(f"calibrate: {done.stderr}")
     print(done.stdout, file=sys.stderr)
@@ -112,12 +122,20 @@ def calibrate(folder: Path, name: str, place: Scene, *, labelled: bool) -> Path:
 
 
 @contextmanager
-def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path) -> Iterator[tuple[int, int]]:
+def sensor(
+    folder: Path, calibration: Path, name: str, delay_s: float, log: Path
+) -> Iterator[tuple[int, int]]:
     """Run a broker and a daemon whose camera moves with the robot; yield the ports of broker and robot."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         robot = int(probe.getsockname()[1])
-    scenario = {"scene": name, "delay_s": delay_s, "port": robot, "kept": str(folder), "log": str(log)}
+    scenario = {
+        "scene": name,
+        "delay_s": delay_s,
+        "port": robot,
+        "kept": str(folder),
+        "log": str(log),
+    }
     program = folder / "rpicam-vid"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m tools.testbed.servo.rpicam_vid "$@"\n')
     program.chmod(0o755)
@@ -127,7 +145,9 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
         config.write_text(_SETTINGS.format(calibration=calibration, model=MODEL, port=broker.port))
         words = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
         daemon = subprocess.Popen(
-            words, env=os.environ | {"SERVO": json.dumps(scenario), "PATH": path}, stderr=subprocess.DEVNULL
+            words,
+            env=os.environ | {"SERVO": json.dumps(scenario), "PATH": path},
+            stderr=subprocess.DEVNULL,
         )
         try:
             end_s = time.monotonic() + 60
@@ -141,15 +161,38 @@ def sensor(folder: Path, calibration: Path, name: str, delay_s: float, log: Path
             daemon.wait()
 
 
-def once(folder: Path, calibration: Path, name: str, speed_mm_s: float, delay_ms: float, *, labelled: bool) -> Run:
+def once(
+    folder: Path,
+    calibration: Path,
+    name: str,
+    speed_mm_s: float,
+    delay_ms: float,
+    *,
+    labelled: bool,
+) -> Run:
     """Run one loop and measure its errors."""
     log = folder / "truth.csv"
     log.unlink(missing_ok=True)
     with sensor(folder, calibration, name, OWN_DELAY_S + delay_ms / 1e3, log) as (port, robot):
-        words = [sys.executable, "-m", f"tools.examples.servo.follow_{name}", f"127.0.0.1:{port}", "servo"]
-        words += ["--robot", f"127.0.0.1:{robot}", "--speed-mm-s", str(speed_mm_s), "--seconds", str(SECONDS)]
+        words = [
+            sys.executable,
+            "-m",
+            f"tools.examples.servo.follow_{name}",
+            f"127.0.0.1:{port}",
+            "servo",
+        ]
+        words += [
+            "--robot",
+            f"127.0.0.1:{robot}",
+            "--speed-mm-s",
+            str(speed_mm_s),
+            "--seconds",
+            str(SECONDS),
+        ]
         words += ["--depth-mm", str(ASKED["depth_mm"])]
-        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=SECONDS + 60)
+        done = subprocess.run(
+            words, capture_output=True, text=True, check=False, timeout=SECONDS + 60
+        )
     found = re.search(r"touches, ([\d.]+) a second, ([\d.]+) ms", done.stdout)
     if not found:
         raise SystemExit(f"follow_{name}: exit code {done.returncode}: {done.stdout}{done.stderr}")
@@ -184,7 +227,9 @@ def draw(runs: list[Run]) -> bytes:
 
     scenes = list(dict.fromkeys(run.scene for run in runs))
     columns = max(len(run.error) for run in runs)
-    figure = Figure(figsize=(4.2 * columns, 3.2 * len(scenes)), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(
+        figsize=(4.2 * columns, 3.2 * len(scenes)), dpi=100, facecolor="white", layout="constrained"
+    )
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(scenes), columns, squeeze=False)
     for row, name in zip(axes, scenes, strict=True):
@@ -193,7 +238,11 @@ def draw(runs: list[Run]) -> bytes:
             speeds = list(dict.fromkeys(run.speed_mm_s for run in some))
             for speed, labelled in dict.fromkeys((run.speed_mm_s, run.labelled) for run in some):
                 key = (speed, labelled)
-                line = [(run.delay_ms, run.error[quantity]) for run in some if (run.speed_mm_s, run.labelled) == key]
+                line = [
+                    (run.delay_ms, run.error[quantity])
+                    for run in some
+                    if (run.speed_mm_s, run.labelled) == key
+                ]
                 each.plot(
                     *zip(*line, strict=True),
                     color=_COLOURS[speeds.index(speed) % len(_COLOURS)],
@@ -206,10 +255,14 @@ def draw(runs: list[Run]) -> bytes:
             each.set_axisbelow(True)
             words, _, unit = quantity.rpartition("_")
             unit = {"deg": "°"}.get(unit, unit)
-            each.set(title=f"follow_{name}: {words.replace('_', ' ')}", xlabel="added latency in ms")
+            each.set(
+                title=f"follow_{name}: {words.replace('_', ' ')}", xlabel="added latency in ms"
+            )
             each.set_ylabel(f"root mean square error in {unit}")
             each.set_ylim(0, 1.1 * max(run.error[quantity] for run in some))
-    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(
+        *axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+    )
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -220,12 +273,19 @@ def table(runs: list[Run]) -> str:
     parts = []
     for name, labelled in dict.fromkeys((run.scene, run.labelled) for run in runs):
         some = [run for run in runs if (run.scene, run.labelled) == (name, labelled)]
-        columns = ("speed, mm/s", "added, ms", *(quantity.replace("_", " ") for quantity in RANGES[name]))
+        columns = (
+            "speed, mm/s",
+            "added, ms",
+            *(quantity.replace("_", " ") for quantity in RANGES[name]),
+        )
         lines = [
             (
                 f"{run.speed_mm_s:g}",
                 f"{run.delay_ms:g}",
-                *(f"{run.error[quantity]:.2f} ({run.worst[quantity]:.2f})" for quantity in RANGES[name]),
+                *(
+                    f"{run.error[quantity]:.2f} ({run.worst[quantity]:.2f})"
+                    for quantity in RANGES[name]
+                ),
                 f"{run.touches_s:.0f}",
                 f"{run.age_ms:.0f}",
                 f"{100 * run.lost:.1f} %",
@@ -241,18 +301,26 @@ def main() -> int:
     """Calibrate, run the loops, and print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scene", nargs="+", choices=tuple(RANGES), default=list(RANGES))
-    parser.add_argument("--speeds", nargs="+", type=float, default=[5.0, 10.0, 20.0], metavar="MM_S")
-    parser.add_argument("--delays", nargs="+", type=float, default=[0.0, 20.0, 50.0, 100.0], metavar="MS")
+    parser.add_argument(
+        "--speeds", nargs="+", type=float, default=[5.0, 10.0, 20.0], metavar="MM_S"
+    )
+    parser.add_argument(
+        "--delays", nargs="+", type=float, default=[0.0, 20.0, 50.0, 100.0], metavar="MS"
+    )
     parser.add_argument("--out", type=Path, help="a folder for servo.png")
     args = parser.parse_args()
     runs = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for each, labelled in [(name, True) for name in args.scene] + [("surface", False)] * ("surface" in args.scene):
+        for each, labelled in [(name, True) for name in args.scene] + [("surface", False)] * (
+            "surface" in args.scene
+        ):
             calibration = calibrate(folder, each, scene(each, folder), labelled=labelled)
             for speed_mm_s in args.speeds if labelled else args.speeds[:2][-1:]:
                 for delay_ms in args.delays:
-                    runs.append(once(folder, calibration, each, speed_mm_s, delay_ms, labelled=labelled))
+                    runs.append(
+                        once(folder, calibration, each, speed_mm_s, delay_ms, labelled=labelled)
+                    )
                     print(runs[-1], file=sys.stderr, flush=True)
     print(table(runs))
     print(

@@ -27,7 +27,11 @@ class FollowEdge:
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
         self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
-        self._down, self._across, self._about_z = Loop(LIMIT_MM_S), Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S)
+        self._down, self._across, self._about_z = (
+            Loop(LIMIT_MM_S),
+            Loop(LIMIT_MM_S),
+            Loop(LIMIT_DEG_S),
+        )
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
         """Move along the edge, towards the edge along y and the depth along z, and turn with the edge."""

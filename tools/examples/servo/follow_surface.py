@@ -25,7 +25,11 @@ class FollowSurface:
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
         self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
-        self._down, self._about_x, self._about_y = Loop(LIMIT_MM_S), Loop(LIMIT_DEG_S), Loop(LIMIT_DEG_S)
+        self._down, self._about_x, self._about_y = (
+            Loop(LIMIT_MM_S),
+            Loop(LIMIT_DEG_S),
+            Loop(LIMIT_DEG_S),
+        )
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
         """Move along the surface and towards the depth along z, and turn with the surface's tilt."""

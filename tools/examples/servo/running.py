@@ -21,7 +21,9 @@ def options(doc: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
     parser.add_argument("broker", help="HOST or HOST:PORT")
     parser.add_argument("sensor", help="its sensor_id")
-    parser.add_argument("--robot", required=True, metavar="HOST:PORT", help="that takes velocities (robot.py)")
+    parser.add_argument(
+        "--robot", required=True, metavar="HOST:PORT", help="that takes velocities (robot.py)"
+    )
     parser.add_argument("--depth-mm", type=float, default=1.5, help="to keep")
     parser.add_argument("--speed-mm-s", type=float, default=10.0, help="along the sensor's x")
     parser.add_argument("--seconds", type=float, default=float("inf"))
@@ -29,7 +31,9 @@ def options(doc: str | None) -> argparse.ArgumentParser:
 
 
 def run(
-    args: argparse.Namespace, names: Sequence[str], velocity: Callable[[Mapping[str, float], float], Velocity]
+    args: argparse.Namespace,
+    names: Sequence[str],
+    velocity: Callable[[Mapping[str, float], float], Velocity],
 ) -> int:
     """Call `velocity` with each touch and the seconds since the last one, and send the result to the robot."""
     ages_ms: list[float] = []
@@ -54,7 +58,9 @@ def run(
         pass
     if len(ages_ms) > 1:
         rate = (len(ages_ms) - 1) / ((last_ns - first_ns) / 1e9)
-        print(f"{len(ages_ms)} touches, {rate:.1f} a second, {statistics.median(ages_ms):.1f} ms old in the median")
+        print(
+            f"{len(ages_ms)} touches, {rate:.1f} a second, {statistics.median(ages_ms):.1f} ms old in the median"
+        )
     return 0
 
 

@@ -122,7 +122,9 @@ class Way:
         )  # fmt: skip
 
 
-def plate_depth_mm(pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
+def plate_depth_mm(
+    pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg: float, tilt_y_deg: float
+) -> float:
     """Compute `Press.depth_mm` (of the lowest edge) for a tilted plate over the tip, pressed along its normal."""
     upright = math.cos(math.radians(tilt_x_deg)) * math.cos(math.radians(tilt_y_deg))
     middle_mm = (radius_mm - pressed_mm) / upright
@@ -131,7 +133,9 @@ def plate_depth_mm(pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg
 
 def deepest_mm(dome: Dome) -> float:
     """Compute the greatest depth of a path, in mm on a skin of 20 mm."""
-    return min(4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / (dome.radius_mm / 20))
+    return min(
+        4.0, DEEPEST_PART * (dome.skin_mm + dome.gel_part * dome.radius_mm) / (dome.radius_mm / 20)
+    )
 
 
 def ways(dome: Dome, seed: int, count: int) -> list[Way]:
@@ -144,11 +148,16 @@ def ways(dome: Dome, seed: int, count: int) -> list[Way]:
     for k in range(count):
         name = names[(first + k) % len(names)]
         rho, angle, along, lean = rng.uniform((0, 0, 0, 0), (0.25 * radius_mm, *(2 * math.pi,) * 3))
-        depth, drag, turn, twist, tilt = rng.uniform((0.6, 0.0, 0, -10, 5), (deepest, 3.0, 360, 10, 20))
+        depth, drag, turn, twist, tilt = rng.uniform(
+            (0.6, 0.0, 0, -10, 5), (deepest, 3.0, 360, 10, 20)
+        )
         tilted = k % 3 == 2 or name == "plate"
         if name == "plate":
             lean_deg = tilt * math.cos(lean), tilt * math.sin(lean)
-            rho, depth = 0.0, plate_depth_mm(0.6 * depth * scale, radius_mm, scale, *lean_deg) / scale
+            rho, depth = (
+                0.0,
+                plate_depth_mm(0.6 * depth * scale, radius_mm, scale, *lean_deg) / scale,
+            )
         made.append(
             Way(name, Press(
                 OBJECTS[name](), rho * math.cos(angle), rho * math.sin(angle), depth * scale, turn, scale,
@@ -161,7 +170,14 @@ def ways(dome: Dome, seed: int, count: int) -> list[Way]:
 
 SIZES_MM: dict[str, float] = {"ball": 6.0, "cylinder": 5.0, "cube": 10.0}
 """Radius of the ball and the cylinder, and side of the cube, of `SOLIDS`."""
-KINDS = (("ball", 3.0), ("cylinder", 2.5), ("ball", 4.5), ("cube", 6.0), ("ball", 7.0), ("cylinder", 4.0))
+KINDS = (
+    ("ball", 3.0),
+    ("cylinder", 2.5),
+    ("ball", 4.5),
+    ("cube", 6.0),
+    ("ball", 7.0),
+    ("cylinder", 4.0),
+)
 """Object and its radius or side in mm on a skin of 20 mm; the presses take them in turn."""
 SHALLOWEST_MM = 0.6
 REACH_RADII = 0.4
@@ -174,11 +190,16 @@ def known_ways(dome: Dome, seed: int, count: int) -> list[Way]:
     scale, made = dome.radius_mm / 20, []
     for k in range(count):
         name, size_mm = KINDS[k % len(KINDS)]
-        rho, angle = REACH_RADII * dome.radius_mm * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
+        rho, angle = (
+            REACH_RADII * dome.radius_mm * math.sqrt(rng.random()),
+            rng.uniform(0, 2 * math.pi),
+        )
         depth_mm, turn_deg = rng.uniform((SHALLOWEST_MM, 0), (deepest_mm(dome), 360))
         x_mm, y_mm = rho * math.cos(angle), rho * math.sin(angle)
         enlarged = scale * size_mm / SIZES_MM[name]
-        made.append(Way(name, Press(OBJECTS[name](), x_mm, y_mm, depth_mm * scale, turn_deg, enlarged)))
+        made.append(
+            Way(name, Press(OBJECTS[name](), x_mm, y_mm, depth_mm * scale, turn_deg, enlarged))
+        )
     return made
 
 
@@ -221,14 +242,18 @@ def known_presses(range_name: str, sensor: int, count: int, folder: Path) -> Seq
     made = []
     for k, way in enumerate(known_ways(dome, seed, count)):
         kept = Kept.read(kept_file(folder, range_name, sensor, "press", k))
-        image = draws.expose(draws.draw(deformed(dome.radius_mm, kept.rest_mm, kept.pressed_mm)), PRESS_NOISE + k)
+        image = draws.expose(
+            draws.draw(deformed(dome.radius_mm, kept.rest_mm, kept.pressed_mm)), PRESS_NOISE + k
+        )
         size_mm = SIZES_MM[way.object_name] * way.press.scale
         shape = {
             "ball": None,
             "cube": indenters.box(f"square {size_mm:.1f}", size_mm, size_mm),
             "cylinder": indenters.cylinder(f"flat {2 * size_mm:.1f}", size_mm),
         }[way.object_name]
-        made.append(stated_press(rng, f"press {k}", image, way.press, 0.0 if shape else size_mm, shape))
+        made.append(
+            stated_press(rng, f"press {k}", image, way.press, 0.0 if shape else size_mm, shape)
+        )
     return made
 
 
@@ -245,7 +270,9 @@ def deformed(radius_mm: float, rest_mm: F64, at_mm: F64) -> Skin:
     n = len(flat.height_mm) // 2
     axis = np.arange(-n, n + 1) * flat.step_mm
     x, y = np.meshgrid(axis, axis)
-    now, before = (np.stack(direction_to_chart(points, radius_mm), axis=-1) for points in (at_mm, rest_mm))
+    now, before = (
+        np.stack(direction_to_chart(points, radius_mm), axis=-1) for points in (at_mm, rest_mm)
+    )
     values = np.column_stack((radius_mm - np.linalg.norm(at_mm, axis=1), before - now))
     smooth = np.nan_to_num(CloughTocher2DInterpolator(now, values)(x, y)).astype(np.float32)
     return replace(
@@ -273,7 +300,9 @@ def renderer(model: SensorModel, seed: int) -> Renderer:
     rng = np.random.default_rng((seed, 43))
     marks = None if rng.random() < 0.5 else lattice_print(model, float(rng.uniform(60, 90)))
     kind = int(rng.integers(3))
-    profile = (PinProfile(()), PinProfile(((1.0, 0.7, 0.0),)), PinProfile.waist(0.5, float(rng.uniform(0.7, 0.9))))[
-        kind
-    ]
+    profile = (
+        PinProfile(()),
+        PinProfile(((1.0, 0.7, 0.0),)),
+        PinProfile.waist(0.5, float(rng.uniform(0.7, 0.9))),
+    )[kind]
     return Renderer(model, marks, profile)

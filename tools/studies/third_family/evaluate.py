@@ -31,7 +31,12 @@ from tacshade_edge.simulator.press import Press
 from tacshade_edge.simulator.skin import Skin, undeformed
 from tacshade_edge.simulator.truth import Truth, shear_mm, skin_points
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.work import REFERENCE_NOISE, REFERENCES, SCENE_NOISE, reconstructor
+from tacshade_edge.studies.evaluate.work import (
+    REFERENCE_NOISE,
+    REFERENCES,
+    SCENE_NOISE,
+    reconstructor,
+)
 from tacshade_edge.studies.tables import csv_text, grouped, summary
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.third_family.domes import (
@@ -79,7 +84,9 @@ class Judged:
     refused: str  # why the frame was refused, or empty
     me_mm: float  # eqs. 13 and 14
     sd_pct: float
-    shear_error_mm: float  # median distance between found and true shear over the cells found in contact
+    shear_error_mm: (
+        float  # median distance between found and true shear over the cells found in contact
+    )
     cells: int  # found in contact, and those of them whose 90 % interval holds the true height
     covered: int
 
@@ -95,15 +102,21 @@ def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iter
             skin = deformed(dome.radius_mm, kept.rest_mm, at_mm)
             truth = seen_truth(skin, (press,), model)
             image = draws.expose(draws.draw(skin), SCENE_NOISE + 2 * k + dragged)
-            yield Pictured(_label(range_name, sensor, way, press), bool(dragged), press, skin, truth, image)
+            yield Pictured(
+                _label(range_name, sensor, way, press), bool(dragged), press, skin, truth, image
+            )
 
 
-def calibrated(range_name: str, sensor: int, presses: Sequence[KnownPress] = (), fitted: bool = False) -> Calibration:
+def calibrated(
+    range_name: str, sensor: int, presses: Sequence[KnownPress] = (), fitted: bool = False
+) -> Calibration:
     """Calibrate a sensor on pictures of its untouched skin and presses, and fit it to these. Raises ConfigError."""
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     untouched = draws.draw(undeformed(dome.radius_mm))
-    stated = Sensor(model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright")
+    stated = Sensor(
+        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+    )
     references = [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(REFERENCES)]
     result = calibrate(stated, references, list(presses), networks=load_networks())
     if not fitted:
@@ -130,7 +143,11 @@ def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged
     if result.shear_mm is not None and len(points):
         wrong = result.shear_mm[result.height.contact] - shear_mm(each.skin, points, model.friction)
         sheared = float(np.median(np.linalg.norm(wrong, axis=1)))
-    covered = 0 if result.sigma_mm is None else off <= INTERVAL_90 * result.sigma_mm[result.height.contact]
+    covered = (
+        0
+        if result.sigma_mm is None
+        else off <= INTERVAL_90 * result.sigma_mm[result.height.contact]
+    )
     return Judged(
         profile=result.profile,
         sensor=each.label.sensor,
@@ -167,34 +184,58 @@ FIGURES: dict[str, Callable[[Sequence[Judged]], str]] = {
     "ME mm": lambda some: f"{np.mean([row.me_mm for row in _found(some)]):.3f}",
     "SD %": lambda some: f"{np.nanmean([row.sd_pct for row in some if not row.refused]):.1f}",
     "depth off %": lambda some: f"{np.median([_depth_off_pct(row) for row in _found(some)]):.0f}",
-    "shear off mm": lambda some: f"{np.nanmedian([row.shear_error_mm for row in _found(some)]):.2f}",
+    "shear off mm": lambda some: (
+        f"{np.nanmedian([row.shear_error_mm for row in _found(some)]):.2f}"
+    ),
     "in the 90 % interval %": lambda some: f"{_covered_pct(_found(some)):.1f}",
 }
 
 
 def table(rows: Sequence[Judged]) -> str:
     """A line for each profile, pressed and dragged."""
-    groups = grouped(sorted(rows, key=lambda row: (row.dragged, row.profile)), lambda row: (row.dragged, row.profile))
-    lines = [(("dragged" if dragged else "pressed", profile), some) for (dragged, profile), some in groups.items()]
+    groups = grouped(
+        sorted(rows, key=lambda row: (row.dragged, row.profile)),
+        lambda row: (row.dragged, row.profile),
+    )
+    lines = [
+        (("dragged" if dragged else "pressed", profile), some)
+        for (dragged, profile), some in groups.items()
+    ]
     return summary(("skin", "profile"), lines, FIGURES)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Judge all sensors and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--range", choices=RANGES, default="working")
     parser.add_argument("--sensors", type=int, default=6)
     parser.add_argument("--ways", type=int, default=6)
     parser.add_argument("--states", type=Path, required=True, help="what solve.py wrote")
-    parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
-    parser.add_argument("--fit", action="store_true", help="the networks to these and the references")
+    parser.add_argument(
+        "--presses", type=int, default=0, help="that each sensor is calibrated on (none)"
+    )
+    parser.add_argument(
+        "--fit", action="store_true", help="the networks to these and the references"
+    )
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args(arguments)
     wanted = (("", options.ways), ("press", options.presses))
-    own = ((sensor, what, k) for sensor in range(options.sensors) for what, count in wanted for k in range(count))
-    if missing := [path for at in own if not (path := kept_file(options.states, options.range, *at)).exists()]:
-        print(f"{missing[0]} is missing ({len(missing)} of these): solve them first with solve.py", file=sys.stderr)
+    own = (
+        (sensor, what, k)
+        for sensor in range(options.sensors)
+        for what, count in wanted
+        for k in range(count)
+    )
+    if missing := [
+        path for at in own if not (path := kept_file(options.states, options.range, *at)).exists()
+    ]:
+        print(
+            f"{missing[0]} is missing ({len(missing)} of these): solve them first with solve.py",
+            file=sys.stderr,
+        )
         return 1
     rows: list[Judged] = []
     for sensor in range(options.sensors):
@@ -209,9 +250,13 @@ def main(arguments: list[str] | None = None) -> int:
         for k, each in enumerate(pictured(options.range, sensor, options.ways, options.states)):
             if options.pictures:
                 options.pictures.mkdir(parents=True, exist_ok=True)
-                cv2.imwrite(str(options.pictures / f"{options.range}-{sensor}-{k:02d}.png"), each.image)
+                cv2.imwrite(
+                    str(options.pictures / f"{options.range}-{sensor}-{k:02d}.png"), each.image
+                )
             if len(each.truth.points_mm) >= LEAST_TRUE_CELLS:
-                rows += [judged(each, model, solver.step(Frame(0, 0, 0, each.image))) for solver in made]
+                rows += [
+                    judged(each, model, solver.step(Frame(0, 0, 0, each.image))) for solver in made
+                ]
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         (options.out / "third-family.csv").write_text(csv_text(Judged, rows), encoding="utf-8")
@@ -221,7 +266,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _label(range_name: str, sensor: int, way: Way, press: Press) -> Label:
     return Label(
-        f"third-{range_name}:{sensor}", way.object_name, "", press.depth_mm, press.x_mm, press.y_mm, press.rotation_deg
+        f"third-{range_name}:{sensor}",
+        way.object_name,
+        "",
+        press.depth_mm,
+        press.x_mm,
+        press.y_mm,
+        press.rotation_deg,
     )
 
 

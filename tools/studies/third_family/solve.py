@@ -47,7 +47,9 @@ EDGE_MM = 1.3
 APPROACH_MM, DRAG_MM, TWIST_DEG, SETTLING = 0.35, 0.2, 1.5, 12
 """Greatest motions in one step, and the number of steps in which the object then rests."""
 
-_DENSITY = 5e-3  # m / dt²; contact is 10,000 times as stiff, so this makes it stiff compared with the gel
+_DENSITY = (
+    5e-3  # m / dt²; contact is 10,000 times as stiff, so this makes it stiff compared with the gel
+)
 _DAMPING = 3.0
 FINE_DEG = 26.0
 """Up to this angle from the tip, the mesh has its shortest edges; beyond, they grow towards the rim."""
@@ -71,7 +73,9 @@ def meshed(dome: Dome, edge_mm: float, gel_layers: int = 3) -> Mesh:
     """Fill a dome with tetrahedra whose edges at the tip have about the given length."""
     direction, triangles = cap(dome.radius_mm, edge_mm)
     count = len(direction)
-    depths = np.linspace(0, 1, gel_layers + 1) ** 1.15 * dome.gel_part * dome.radius_mm + dome.skin_mm
+    depths = (
+        np.linspace(0, 1, gel_layers + 1) ** 1.15 * dome.gel_part * dome.radius_mm + dome.skin_mm
+    )
     radii = dome.radius_mm - np.concatenate(((0.0,), depths))
     points = np.concatenate([direction * radius for radius in radii])
     rim = direction[:, 2] < math.cos(math.radians(RIM_HALF_ANGLE_DEG)) + 1e-9
@@ -94,7 +98,10 @@ def cap(radius_mm: float, edge_mm: float) -> tuple[F64, I64]:
         ring += 1
         count = max(6, round(2 * math.pi * math.sin(angle) * radius_mm / edge))
         around = 2 * math.pi * np.arange(count) / count + 0.5 * ring
-        points += [(math.sin(angle) * math.cos(a), math.sin(angle) * math.sin(a), math.cos(angle)) for a in around]
+        points += [
+            (math.sin(angle) * math.cos(a), math.sin(angle) * math.sin(a), math.cos(angle))
+            for a in around
+        ]
     direction = np.array(points)
     return direction, Delaunay(direction[:, :2] / (1 + direction[:, 2:])).simplices.astype(np.int64)
 
@@ -139,7 +146,9 @@ class State:
 
 def solved(dome: Dome, way: Way) -> Kept:
     """Press and drag an object. Raises RuntimeError (MuJoCo warned of a bad state)."""
-    mujoco.set_mju_user_warning(lambda _: None)  # MuJoCo would write a file here; `_moved` checks its counts
+    mujoco.set_mju_user_warning(
+        lambda _: None
+    )  # MuJoCo would write a file here; `_moved` checks its counts
     mesh = meshed(dome, EDGE_MM * dome.radius_mm / 20)
     model = mujoco.MjModel.from_xml_string(_xml(dome, mesh, way))
     data = mujoco.MjData(model)
@@ -151,7 +160,11 @@ def solved(dome: Dome, way: Way) -> Kept:
     data.qpos[2] += travel
     steps = max(4, math.ceil(travel / APPROACH_MM))
     pressed = _moved(model, data, touch, steps, mesh)
-    steps = math.ceil(max(math.hypot(press.drag_x_mm, press.drag_y_mm) / DRAG_MM, abs(press.twist_deg) / TWIST_DEG))
+    steps = math.ceil(
+        max(
+            math.hypot(press.drag_x_mm, press.drag_y_mm) / DRAG_MM, abs(press.twist_deg) / TWIST_DEG
+        )
+    )
     dragged = _moved(model, data, end, steps, mesh) if steps else pressed
     return Kept(
         mesh.points_mm[: mesh.surface], pressed.at_mm, dragged.at_mm,
@@ -182,7 +195,9 @@ def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh
 def _clearance_mm(dome: Dome, way: Way) -> float:
     """Find how far above its pressed place an object just leaves the undeformed skin."""
     press, radius = way.pressed(dome.radius_mm), dome.radius_mm
-    angle, around = np.meshgrid(np.linspace(0, math.radians(70), 120), np.linspace(0, 2 * math.pi, 120))
+    angle, around = np.meshgrid(
+        np.linspace(0, math.radians(70), 120), np.linspace(0, 2 * math.pi, 120)
+    )
     skin = radius * np.stack(
         (np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1
     ).reshape(-1, 3)
@@ -203,9 +218,13 @@ def _xml(dome: Dome, mesh: Mesh, way: Way) -> str:
         f'<geom type="sphere" size="{ball:.6g}" mass="0" contype="2" conaffinity="1" friction="{dome.friction} 0 0" '
         'solref="-1e9 -1e7" solimp="0.9999 0.9999 0.001"/>'
     )
-    sliding = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    sliding = "".join(
+        f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
+    )
     bodies = []
-    for k, (point, mass, clamped) in enumerate(zip(mesh.points_mm, weight, mesh.clamped, strict=True)):
+    for k, (point, mass, clamped) in enumerate(
+        zip(mesh.points_mm, weight, mesh.clamped, strict=True)
+    ):
         free = f'<inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{mass:.9g} {mass:.9g} {mass:.9g}"/>{sliding}'
         inside = ("" if clamped else free) + (touching if k < mesh.surface else "")
         bodies.append(f'<body name="p{k}" pos="{_text(point)}">{inside}</body>')
@@ -255,7 +274,10 @@ def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
     for sensor in range(options.sensors):
         _, dome = drawn(options.range, sensor)
         seed = FIRST_SEED[options.range] + sensor
-        wanted = {"": ways(dome, seed, options.ways), "press": known_ways(dome, seed, options.presses)}
+        wanted = {
+            "": ways(dome, seed, options.ways),
+            "press": known_ways(dome, seed, options.presses),
+        }
         for what, paths in wanted.items():
             for k, way in enumerate(paths):
                 yield kept_file(options.states, options.range, sensor, what, k), dome, way
@@ -263,12 +285,20 @@ def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Solve the missing paths of a range."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--range", choices=RANGES, default="working")
     parser.add_argument("--sensors", type=int, default=6)
-    parser.add_argument("--ways", type=int, default=6, help="objects on each sensor, two states each")
-    parser.add_argument("--presses", type=int, default=0, help="that each sensor is calibrated on (none)")
-    parser.add_argument("--states", type=Path, required=True, help="existing files stay as they are")
+    parser.add_argument(
+        "--ways", type=int, default=6, help="objects on each sensor, two states each"
+    )
+    parser.add_argument(
+        "--presses", type=int, default=0, help="that each sensor is calibrated on (none)"
+    )
+    parser.add_argument(
+        "--states", type=Path, required=True, help="existing files stay as they are"
+    )
     options = parser.parse_args(arguments)
     options.states.mkdir(parents=True, exist_ok=True)
     for path, dome, way in jobs(options):

@@ -37,7 +37,10 @@ def main() -> int:
     parser.add_argument("--gain", type=float)
     args, _ = parser.parse_known_args()
     if (args.width, args.height) != (MODEL.image_width_px, MODEL.image_height_px):
-        print(f"ERROR: found {args.width}x{args.height}, expected the simulated sensor's size", file=sys.stderr)
+        print(
+            f"ERROR: found {args.width}x{args.height}, expected the simulated sensor's size",
+            file=sys.stderr,
+        )
         return 255
     scenario = json.loads(os.environ["SERVO"])
     place, draws = scene(scenario["scene"], Path(scenario["kept"])), Renderer(MODEL)
@@ -54,7 +57,9 @@ def main() -> int:
         robot = LateRobot(place.start, scenario["delay_s"], began_s)
         print("t_ns,lost", *place.touch(robot.pose), "x_mm", sep=",", file=log)
         while True:
-            n = max(n + 1, int((time.monotonic() - began_s) / period_s))  # the frames in between are lost
+            n = max(
+                n + 1, int((time.monotonic() - began_s) / period_s)
+            )  # the frames in between are lost
             at_s = began_s + n * period_s
             time.sleep(max(0.0, at_s - time.monotonic()))
             while heard:
@@ -70,9 +75,17 @@ def main() -> int:
                 "AnalogueGain": args.gain,
                 "FrameDuration": round(period_s * 1e6),
             }
-            records.write("".join(f"{key}={value}\n" for key, value in record.items()).encode() + b"\n")
+            records.write(
+                "".join(f"{key}={value}\n" for key, value in record.items()).encode() + b"\n"
+            )
             numbers = (*touch.values(), float(robot.pose.translation_mm[0]))
-            print(record["SensorTimestamp"], n - last - 1, *(f"{v:.4f}" for v in numbers), sep=",", file=log)
+            print(
+                record["SensorTimestamp"],
+                n - last - 1,
+                *(f"{v:.4f}" for v in numbers),
+                sep=",",
+                file=log,
+            )
             last = n
 
 

@@ -20,7 +20,12 @@ from tacshade_edge.simulator.skin import Skin, node_directions, press_skin, unde
 from tacshade_edge.types import F32, F64
 
 MODEL: Final = replace(
-    SensorModel(), image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5
+    SensorModel(),
+    image_height_px=240,
+    image_width_px=320,
+    row_c=118.2,
+    col_c=163.8,
+    disc_radius_px=102.5,
 )
 """The sensor, whose image has a width that ``rpicam-vid`` can write."""
 DEEPEST_MM: Final = 4.0
@@ -38,7 +43,9 @@ class PlaneSkins:
         directions = node_directions(MODEL.skin_radius_mm).astype(np.float32)
         middle = len(directions) // 2
         self._directions = directions
-        self._cosines = directions[middle, middle:, 2][::-1].astype(np.float64)  # ascending, for np.interp
+        self._cosines = directions[middle, middle:, 2][::-1].astype(
+            np.float64
+        )  # ascending, for np.interp
         self._profiles = np.stack([
             _pressed(Press(OBJECTS["plate"](), depth_mm=float(depth)))[middle, middle:][::-1]
             for depth in PLANE_DEPTHS_MM
@@ -60,7 +67,9 @@ class EdgeSkins:
     def __init__(self, kept: Path) -> None:
         if not kept.exists():
             pairs = [(depth, offset) for depth in EDGE_DEPTHS_MM for offset in OFFSETS_MM]
-            np.save(kept, np.stack([_pressed(edge_press(float(d), float(o), 0.0)) for d, o in pairs]))
+            np.save(
+                kept, np.stack([_pressed(edge_press(float(d), float(o), 0.0)) for d, o in pairs])
+            )
         shape = (len(EDGE_DEPTHS_MM), len(OFFSETS_MM), *_FREE.height_mm.shape)
         self._table: F32 = np.load(kept).reshape(shape)
 
@@ -69,10 +78,16 @@ class EdgeSkins:
         i, a = _between(depth_mm, EDGE_DEPTHS_MM)
         j, b = _between(offset_mm, OFFSETS_MM)
         t = self._table
-        height = (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
+        height = (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * (
+            (1 - b) * t[i + 1, j] + b * t[i + 1, j + 1]
+        )
         middle = len(height) // 2
-        turn = cv2.getRotationMatrix2D((middle, middle), -edge_deg, 1.0)  # OpenCV's angles go from y towards x
-        return replace(_FREE, height_mm=cv2.warpAffine(height.astype(np.float32), turn, height.shape))
+        turn = cv2.getRotationMatrix2D(
+            (middle, middle), -edge_deg, 1.0
+        )  # OpenCV's angles go from y towards x
+        return replace(
+            _FREE, height_mm=cv2.warpAffine(height.astype(np.float32), turn, height.shape)
+        )
 
 
 def edge_press(depth_mm: float, offset_mm: float, edge_deg: float) -> Press:
@@ -102,6 +117,8 @@ def _pressed(press: Press) -> F32:
 
 def _between(value: float, nodes: F64) -> tuple[int, float]:
     """Find the node at or below a value (clipped to the nodes), and the value's part of the way to the next, 0 to 1."""
-    at = (min(max(value, float(nodes[0])), float(nodes[-1])) - float(nodes[0])) / float(nodes[1] - nodes[0])
+    at = (min(max(value, float(nodes[0])), float(nodes[-1])) - float(nodes[0])) / float(
+        nodes[1] - nodes[0]
+    )
     low = min(int(at), len(nodes) - 2)
     return low, at - low

@@ -52,7 +52,9 @@ class Surface:
         """Compute the depth along the normal at the nearest point, and the tilt of that normal."""
         x0, y0, z0 = pose.translation_mm.tolist()
         x, y, z = x0, y0, 0.0
-        for _ in range(12):  # this converges, because the surface's radii of curvature are over 80 mm
+        for _ in range(
+            12
+        ):  # this converges, because the surface's radii of curvature are over 80 mm
             z = SWELL_MM * (1 - math.cos(_K * x)) + SIDEWAYS * y * math.sin(_K * x / 2)
             along = SWELL_MM * _K * math.sin(_K * x) + SIDEWAYS * y * _K / 2 * math.cos(_K * x / 2)
             across = SIDEWAYS * math.sin(_K * x / 2)

@@ -30,7 +30,9 @@ def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> P
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
     sides = np.array(((1.0, 0.0), (ratio * math.cos(b), ratio * math.sin(b)))) / math.sqrt(ratio)
-    cell = model.pitch_mm * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+    cell = (
+        model.pitch_mm * sides @ np.array(((math.cos(a), math.sin(a)), (-math.sin(a), math.cos(a))))
+    )
     corners = np.stack((i.ravel(), j.ravel()), axis=1)
     return print_at(model, corners @ cell, (corners + 0.5) @ cell)
 
@@ -38,7 +40,9 @@ def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> P
 class OtherSensor:
     """A `SimulatedSensor` of the other model, or of the usual model with the other's lattice, pins or skin."""
 
-    def __init__(self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True) -> None:
+    def __init__(
+        self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True
+    ) -> None:
         self.model = model
         self._differences = (square, capped, two_scales)
         marks = lattice_print(model, 90.0) if square else None
@@ -47,14 +51,18 @@ class OtherSensor:
 
     def noiseless(self) -> OtherSensor:
         """Make the same sensor with a noiseless camera."""
-        return OtherSensor(replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences)
+        return OtherSensor(
+            replace(self.model, read_noise_grey=0.0, shot_noise_grey=0.0), *self._differences
+        )
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
         """Take a picture."""
         skin = self.skin(presses)
         return SimulatedFrame(self.picture(skin, noise_seed), tuple(presses), skin, self.model)
 
-    def released(self, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+    def released(
+        self, presses: Sequence[Press], part: float, noise_seed: int = 0
+    ) -> SimulatedFrame:
         """Take a picture after a release, while the skin still keeps part of its deformation."""
         skin = left_over(self.skin(presses), part)
         return SimulatedFrame(self.picture(skin, noise_seed), (), skin, self.model)
@@ -88,11 +96,16 @@ def other_model(seed: int) -> SensorModel:
     )
 
 
-def released(sensor: PressedSensor, presses: Sequence[Press], part: float, noise_seed: int = 0) -> SimulatedFrame:
+def released(
+    sensor: PressedSensor, presses: Sequence[Press], part: float, noise_seed: int = 0
+) -> SimulatedFrame:
     """Take a picture after a release, while the skin still keeps part of its deformation."""
     if isinstance(sensor, OtherSensor):
         return sensor.released(presses, part, noise_seed)
-    skin, renderer = left_over(skin_under(sensor.model, tuple(presses)), part), _renderer(sensor.model)
+    skin, renderer = (
+        left_over(skin_under(sensor.model, tuple(presses)), part),
+        _renderer(sensor.model),
+    )
     return SimulatedFrame(renderer.expose(renderer.draw(skin), noise_seed), (), skin, sensor.model)
 
 
@@ -133,7 +146,9 @@ def two_scales(seed: int | None) -> OtherSensor:
 
 
 FAMILIES.update({"other": other, "square": square, "capped": capped, "two-scales": two_scales})
-FINAL_SENSORS = tuple(SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (21, 22, 23))
+FINAL_SENSORS = tuple(
+    SensorName(family, FINAL_SEED + k) for family in ("tacshade", "other") for k in (21, 22, 23)
+)
 
 
 def sensor_name(text: str) -> SensorName:
@@ -146,5 +161,7 @@ def working_sensors(text: str) -> tuple[SensorName, ...]:
     names = study.sensors(text)
     kept = [name for name in names if name.seed is not None and name.seed >= FINAL_SEED]
     if kept:
-        raise argparse.ArgumentTypeError(f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final")
+        raise argparse.ArgumentTypeError(
+            f"{kept[0]}: seeds from {FINAL_SEED} on are kept for --final"
+        )
     return names

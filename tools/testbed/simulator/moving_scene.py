@@ -59,7 +59,9 @@ def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float
     length = times[1 : len(begin) + 1] - begin
     end = np.minimum(begin + length, t_s)
     early, late = np.exp((begin - t_s) / creep_s), np.exp((end - t_s) / creep_s)
-    later = (late * (end - begin - creep_s) + early * creep_s) / length  # ∫ (s - begin) / length exp(..) ds / τ
+    later = (
+        late * (end - begin - creep_s) + early * creep_s
+    ) / length  # ∫ (s - begin) / length exp(..) ds / τ
     weights[: len(begin)] += late - early - later
     weights[1 : len(begin) + 1] += later
     return np.asarray(creep_part * np.maximum(weights, 0))
@@ -88,7 +90,9 @@ def imprint(skin: Skin) -> Imprint:
     return Imprint(skin, _sampled(skin.pressed_mm, now))
 
 
-def rest(imprints: Sequence[Imprint], weights: Sequence[float], radius_mm: float, origin_mm: F32 | None) -> Skin:
+def rest(
+    imprints: Sequence[Imprint], weights: Sequence[float], radius_mm: float, origin_mm: F32 | None
+) -> Skin:
     """Compute the shape without forces, which is e at every node, from weights of `kept`.
 
     `origin_mm` is the present `Skin.origin_mm`, by which the material moves its dent.
@@ -116,7 +120,9 @@ def _nodes(size: int) -> F32:
 
 def _sampled(grid: F32, at: F32) -> F32:
     """Sample a grid at columns and rows (.., 2), precise to a 32nd of a step; 0 outside."""
-    return np.asarray(cv2.remap(grid, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
+    return np.asarray(
+        cv2.remap(grid, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32
+    )
 
 
 CLEAR_MM = 1.0
@@ -139,8 +145,12 @@ class Motion:
     def __post_init__(self) -> None:
         """Refuse times that do not increase, and an object whose shape changes."""
         if len(self.times_s) != len(self.presses) or len(self.times_s) < 2:
-            raise ValueError(f"{len(self.times_s)} times for {len(self.presses)} presses, expected two or more of each")
-        if not all(np.diff(self.times_s) > 0) or not math.isfinite(self.times_s[-1] - self.times_s[0]):
+            raise ValueError(
+                f"{len(self.times_s)} times for {len(self.presses)} presses, expected two or more of each"
+            )
+        if not all(np.diff(self.times_s) > 0) or not math.isfinite(
+            self.times_s[-1] - self.times_s[0]
+        ):
             raise ValueError(f"times_s is {self.times_s}, expected increasing numbers")
         if any(press.shape is not self.presses[0].shape for press in self.presses):
             raise ValueError("presses of several shapes, expected one object")
@@ -175,7 +185,9 @@ class Motion:
         one, other = self.presses[k : k + 2]
         part = (t_s - self.times_s[k]) / (self.times_s[k + 1] - self.times_s[k])
         between = {
-            name: a + part * (b - a) for name in _NUMBERS if (a := getattr(one, name)) != (b := getattr(other, name))
+            name: a + part * (b - a)
+            for name in _NUMBERS
+            if (a := getattr(one, name)) != (b := getattr(other, name))
         }
         return replace(one, **between) if between else one
 
@@ -183,7 +195,9 @@ class Motion:
         """List the knots' times, and times in between so that the object moves by at most a step between two times."""
         times = [self.times_s[0]]
         for k, (one, other) in enumerate(zip(self.presses[:-1], self.presses[1:], strict=True)):
-            along = math.hypot(other.x_mm - one.x_mm, other.y_mm - one.y_mm, other.depth_mm - one.depth_mm)
+            along = math.hypot(
+                other.x_mm - one.x_mm, other.y_mm - one.y_mm, other.depth_mm - one.depth_mm
+            )
             turned = math.radians(abs(other.rotation_deg - one.rotation_deg)) * _LEVER_MM
             parts = max(1, math.ceil((along + turned) / step_mm))
             times.extend(np.linspace(self.times_s[k], self.times_s[k + 1], parts + 1)[1:].tolist())
@@ -263,7 +277,10 @@ class MovingScene:
         """Take a picture. Raises ValueError: a press is not over the skin, or reaches the sensor's middle."""
         moment = self._moment(t_s)
         return SimulatedFrame(
-            self._renderer.expose(self._drawn(moment), noise_seed), moment.presses, self._skin(moment), self.model
+            self._renderer.expose(self._drawn(moment), noise_seed),
+            moment.presses,
+            self._skin(moment),
+            self.model,
         )
 
     def objects(self, t_s: float) -> tuple[ObjectState, ...]:
@@ -277,7 +294,11 @@ class MovingScene:
             if k in moments[1].owners:
                 press = moments[1].presses[moments[1].owners.index(k)]
             if k in touching[1]:
-                seen = [(t, self._slid_mm(m, k)) for t, m, on in zip(times, moments, touching, strict=True) if k in on]
+                seen = [
+                    (t, self._slid_mm(m, k))
+                    for t, m, on in zip(times, moments, touching, strict=True)
+                    if k in on
+                ]
                 if len(seen) > 1:
                     speed = math.dist(seen[0][1], seen[-1][1]) / (seen[-1][0] - seen[0][0])
                 stuck = self._stuck(moments[1], k)
@@ -301,7 +322,11 @@ class MovingScene:
         for weight, at in zip(weights, self._loads, strict=True):
             there = tuple(press for press in at if press is not None)
             left[there] = left.get(there, 0.0) + weight
-        memory = tuple((there, part) for there, w in left.items() if there and (part := round(w, _ROUND_PART)) > 0)
+        memory = tuple(
+            (there, part)
+            for there, w in left.items()
+            if there and (part := round(w, _ROUND_PART)) > 0
+        )
         return _Moment(tuple(loads), tuple(presses), tuple(owners), memory)
 
     def _shaped(self, moment: _Moment) -> Skin:
@@ -310,7 +335,9 @@ class MovingScene:
         dragged = any(press.is_dragged for press in moment.loads)
         origin_mm = self._elastic(moment.loads).skin.origin_mm if dragged else None
         imprints = [self._elastic(loads) for loads, _ in moment.memory]
-        left = rest(imprints, [part for _, part in moment.memory], self.model.skin_radius_mm, origin_mm)
+        left = rest(
+            imprints, [part for _, part in moment.memory], self.model.skin_radius_mm, origin_mm
+        )
         return skin_under(self.model, moment.presses, left)
 
     def _imprint(self, loads: tuple[Press, ...]) -> Imprint:

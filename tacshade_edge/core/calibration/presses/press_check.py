@@ -40,8 +40,12 @@ def _contact(inverse: Inverse) -> Bool:
 def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> tuple[float, float]:
     """The stated place, shifted by the difference between the centroids of the heights and the indenter's surface."""
     placed = press.placed(geometry.skin_radius_mm)
-    x_mm, y_mm = _middle(np.where(_contact(inverse), inverse.height_mm, np.float32(0)), geometry).tolist()
-    under: F32 = np.maximum(np.nan_to_num(known_height(geometry, placed, len(inverse.height_mm))), np.float32(0))
+    x_mm, y_mm = _middle(
+        np.where(_contact(inverse), inverse.height_mm, np.float32(0)), geometry
+    ).tolist()
+    under: F32 = np.maximum(
+        np.nan_to_num(known_height(geometry, placed, len(inverse.height_mm))), np.float32(0)
+    )
     if np.count_nonzero(under) < LEAST_CELLS:
         return x_mm, y_mm
     under_x, under_y = _middle(under, geometry).tolist()
@@ -54,7 +58,11 @@ def _middle(height_mm: F32, geometry: Geometry) -> F64:
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(height)), geometry)
     use = (height > 0) & rays.inside
     points = skin_points(height, rays, geometry)[use].astype(np.float64)
-    return np.asarray(np.average(points[:, :2], axis=0, weights=height[use])) if use.any() else np.zeros(2)
+    return (
+        np.asarray(np.average(points[:, :2], axis=0, weights=height[use]))
+        if use.any()
+        else np.zeros(2)
+    )
 
 
 def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress) -> list[float]:
@@ -68,7 +76,9 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
         ball = ball_along(geometry.skin_radius_mm, along, press.depth_mm, part * press.radius_mm)
         height = ball_height_along(geometry, ball, u, v)
         known = np.where(inside & (height > 0), height, 0).astype(np.float32).astype(np.float64)
-        likeness = float(found @ known) ** 2 / max(float(found @ found) * float(known @ known), np.finfo(float).tiny)
+        likeness = float(found @ known) ** 2 / max(
+            float(found @ found) * float(known @ known), np.finfo(float).tiny
+        )
         misfits.append(1 - likeness)
     return misfits
 
@@ -92,7 +102,9 @@ class PressCheck:
         self._mapper = GreyMapper(self._preprocessor)
         self._gate = ContactGate(self._preprocessor)
         self._judges = plain_judges(unloaded)
-        self._reference = camera.look(unloaded.reference_grey, unloaded.geometry.disc, unloaded.pitch_px)
+        self._reference = camera.look(
+            unloaded.reference_grey, unloaded.geometry.disc, unloaded.pitch_px
+        )
         self._seen = Preprocessor(unloaded, PROFILES[GRADED_PROFILE])
         self._solver = LearnedSolver(self._seen, network) if network else None
 
@@ -113,7 +125,9 @@ class PressCheck:
         inverse, geometry = self._inverse(press.image), self.geometry
         if inverse is None:
             return observed
-        seen = replace(observed, seen_depth_mm=float(inverse.height_mm[_contact(inverse)].max()), reach_mm=0.0)
+        seen = replace(
+            observed, seen_depth_mm=float(inverse.height_mm[_contact(inverse)].max()), reach_mm=0.0
+        )
         if press.indenter is not None:
             x_mm, y_mm = _indenter_place(inverse, geometry, press)
             return replace(seen, located_x_mm=x_mm, located_y_mm=y_mm)
@@ -126,7 +140,10 @@ class PressCheck:
         ratio = max(stated / max(misfits[best], _LEAST_MISFIT), 1.0)
         grid, disc = disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry.disc
         rows, cols = np.nonzero(_contact(inverse) & disc_rays(grid, geometry).inside)
-        x_px, y_px = grid.col0 + cols * grid.step_px - disc.col_c, grid.row0 + rows * grid.step_px - disc.row_c
+        x_px, y_px = (
+            grid.col0 + cols * grid.step_px - disc.col_c,
+            grid.row0 + rows * grid.step_px - disc.row_c,
+        )
         return replace(
             seen,
             located_x_mm=ball.x_mm,
@@ -144,10 +161,18 @@ class PressCheck:
         """A question about the radius of a ball that looks much larger or smaller than stated; empty otherwise."""
         seen = self.see(self.observe(ball), ball)
         larger = seen.ball_factor > _LOOKS[1] and seen.misfit_ratio > _LOOKS_RATIO
-        if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (larger or seen.ball_factor < _LOOKS[0]):
+        if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (
+            larger or seen.ball_factor < _LOOKS[0]
+        ):
             return ""
-        asked = f"is its radius {ball.radius_mm:g} mm?" if larger else f"is {ball.radius_mm:g} mm its diameter?"
-        return f"this looks like a ball of about {seen.ball_factor * ball.radius_mm:.0f} mm: {asked}"
+        asked = (
+            f"is its radius {ball.radius_mm:g} mm?"
+            if larger
+            else f"is {ball.radius_mm:g} mm its diameter?"
+        )
+        return (
+            f"this looks like a ball of about {seen.ball_factor * ball.radius_mm:.0f} mm: {asked}"
+        )
 
     def judge(self, image: U8) -> Judgement:
         """Judge an image (H, W) or (H, W, 3)."""
@@ -159,5 +184,9 @@ class PressCheck:
         if shift and camera.shifted_too_far(drift, self.geometry.disc):
             return Judgement(None, moved=str(shift))
         changed = str(shift or drift.light_reason or "")
-        in_contact = self._gate.changed_part(self._preprocessor.preprocess(grey)) >= self._gate.plain_part
-        return Judgement(None, changed=changed, in_contact=in_contact or self._inverse(grey) is not None)
+        in_contact = (
+            self._gate.changed_part(self._preprocessor.preprocess(grey)) >= self._gate.plain_part
+        )
+        return Judgement(
+            None, changed=changed, in_contact=in_contact or self._inverse(grey) is not None
+        )

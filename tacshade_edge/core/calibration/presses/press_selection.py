@@ -66,7 +66,9 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
     scale = skin_scale(geometry)
     features = _features(observations, geometry)
     depth_mm = np.array([o.depth_mm for o in observations])
-    travel = np.maximum((depth_mm - first_touch_mm(observations, geometry)) / scale, _LEAST_TRAVEL_MM)
+    travel = np.maximum(
+        (depth_mm - first_touch_mm(observations, geometry)) / scale, _LEAST_TRAVEL_MM
+    )
     log_travel, least = np.log(travel), _LEAST_DEVIATION_MM / travel
     # An error in mm is a larger ratio for a shallow press.
     trust = 1 / (1 + (least / _USUAL_DEVIATION) ** 2)
@@ -77,8 +79,12 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
         ridge = _RIDGE * float(weight.sum()) * pulled
         weighted = features * weight[:, None]
         normal = weighted.T @ features + ridge
-        residual = log_travel - features @ np.linalg.solve(normal, weighted.T @ log_travel + ridge @ usual)
-        deviation = np.hypot(max(1.4826 * float(np.median(np.abs(residual))), _LEAST_DEVIATION), least)
+        residual = log_travel - features @ np.linalg.solve(
+            normal, weighted.T @ log_travel + ridge @ usual
+        )
+        deviation = np.hypot(
+            max(1.4826 * float(np.median(np.abs(residual))), _LEAST_DEVIATION), least
+        )
         z = np.abs(residual) / deviation
         kept = np.where(z < _HUBER, 1.0, _HUBER / np.maximum(z, _HUBER)) * (z < OUTLIER_DEVIATIONS)
         if not kept.any():
@@ -124,7 +130,9 @@ def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> di
         if len(rest) < _LEAST_PRESSES:
             break
         left_out = zip(rest, *leave_one_out([observations[k] for k in rest], geometry), strict=True)
-        found = {k: float(error) for k, error, deviations in left_out if deviations > OUTLIER_DEVIATIONS}
+        found = {
+            k: float(error) for k, error, deviations in left_out if deviations > OUTLIER_DEVIATIONS
+        }
         if not found:
             break
         for k, error_mm in found.items():
@@ -140,11 +148,19 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
     errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 if no place is stated
     scale = skin_scale(geometry)
     reasons: dict[int, str] = {}
-    for is_seen, medians, least_mm in ((True, _SEEN_MEDIANS, _SEEN_LEAST_MM), (False, _PLACE_MEDIANS, _PLACE_LEAST_MM)):
+    for is_seen, medians, least_mm in (
+        (True, _SEEN_MEDIANS, _SEEN_LEAST_MM),
+        (False, _PLACE_MEDIANS, _PLACE_LEAST_MM),
+    ):
         alike = [k for k, o in enumerate(observations) if o.is_seen == is_seen]
-        stated = [o.place_error_mm(*o.place_mm) for o in with_stated_place([observations[k] for k in alike])]
+        stated = [
+            o.place_error_mm(*o.place_mm)
+            for o in with_stated_place([observations[k] for k in alike])
+        ]
         if stated:
-            limit_mm = np.clip(medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale)
+            limit_mm = np.clip(
+                medians * np.median(stated), least_mm * scale, _PLACE_MOST_MM * scale
+            )
             for k in (k for k in alike if errors[k] > limit_mm):
                 o, (x_mm, y_mm) = observations[k], observations[k].place_mm
                 expected = f"expected x {o.located_x_mm:.1f}, y {o.located_y_mm:.1f} mm, as the image shows"
@@ -152,20 +168,31 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
     return reasons
 
 
-def _of_another_size(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+def _of_another_size(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> dict[int, str]:
     """Balls that look larger or smaller than stated, compared with the median ball."""
-    logs = {k: math.log(o.ball_factor) for k, o in enumerate(observations) if math.isfinite(o.ball_factor)}
+    logs = {
+        k: math.log(o.ball_factor)
+        for k, o in enumerate(observations)
+        if math.isfinite(o.ball_factor)
+    }
     if len(logs) < _LEAST_PRESSES:
         return {}
     middle = float(np.median(list(logs.values())))
     deviation = 1.4826 * float(np.median([abs(log - middle) for log in logs.values()]))
-    limit, shallow_mm = max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)), _BALL_DEPTH_MM * skin_scale(geometry)
+    limit, shallow_mm = (
+        max(_BALL_DEVIATIONS * deviation, math.log(_BALL_LEAST)),
+        _BALL_DEPTH_MM * skin_scale(geometry),
+    )
     reasons = {}
     for k, log in logs.items():
         o = observations[k]
         is_sure = log < middle or o.misfit_ratio > _LARGER_MISFIT_RATIO
         if abs(log - middle) > limit and o.depth_mm > shallow_mm and is_sure:
-            expected = f"expected about {math.exp(log - middle) * o.radius_mm:.1f} mm, as the image shows"
+            expected = (
+                f"expected about {math.exp(log - middle) * o.radius_mm:.1f} mm, as the image shows"
+            )
             asked = f": is {o.radius_mm:g} mm its diameter?" if log < middle else ""
             reasons[k] = f"{o.name}: found a ball of {o.radius_mm:g} mm, {expected}{asked}"
     return reasons
@@ -198,7 +225,9 @@ def select_presses(
     on too few presses or too many left out, all of which it names.
     """
     if len(presses) < MIN_PRESSES:
-        raise ConfigError(f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)")
+        raise ConfigError(
+            f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)"
+        )
     geometry = unloaded.geometry
     check = PressCheck(unloaded, network)
     pressed: list[KnownPress] = []
@@ -214,7 +243,9 @@ def select_presses(
         elif judged.moved:
             left_out.append(f"{press.name}: {judged.moved} since the references were taken")
         elif not judged.in_contact:
-            left_out.append(f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep")
+            left_out.append(
+                f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep"
+            )
         else:
             pressed.append(press)
             if judged.changed:
@@ -228,17 +259,25 @@ def select_presses(
             if polarity_stated:
                 raise ConfigError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
-    observations = [check.see(each, press) for each, press in zip(observations, pressed, strict=True)]
+    observations = [
+        check.see(each, press) for each, press in zip(observations, pressed, strict=True)
+    ]
     keys = wrong_keys(observations, geometry)
     if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
         # Balls seem to have another size if the skin has.
-        raise ConfigError(keys if keys and mistakes[0].startswith("PRESSES.csv: radius_mm") else "; ".join(mistakes))
+        raise ConfigError(
+            keys
+            if keys and mistakes[0].startswith("PRESSES.csv: radius_mm")
+            else "; ".join(mistakes)
+        )
     warnings += [keys] if keys else []
     disagreeing = outliers(observations, geometry)
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]
     if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        found = f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}"
+        found = (
+            f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}"
+        )
         raise ConfigError(found, others=left_out[1:])
     return Selection(
         tuple(pressed[k] for k in usable),

@@ -38,17 +38,30 @@ def wrong_keys(observations: Sequence[PressObservation], geometry: Geometry) -> 
     stated, found = _misfit(balls, geometry, geometry), {}
     for key in _KEYS:
         now = getattr(geometry, key) or _USUAL_DISTANCE * geometry.skin_radius_mm
-        tried = [float(now * factor) for factor in _FACTORS if key != _KEYS[1] or now * factor < _MOST_DEG]
+        tried = [
+            float(now * factor)
+            for factor in _FACTORS
+            if key != _KEYS[1] or now * factor < _MOST_DEG
+        ]
         others: list[dict[str, Any]] = [{key: value} for value in tried]
         misfits = [_misfit(balls, geometry, replace(geometry, **other)) for other in others]
         best = int(np.argmin(misfits))
         found[key] = len(balls) * math.log(stated / misfits[best]), tried[best]
-    least = max(_GAIN_EACH * len(balls), _LEAST_GAIN, _PART_OF_BEST * max(gain for gain, _ in found.values()))
-    named = sorted(((gain, key, at) for key, (gain, at) in found.items() if gain >= least), reverse=True)
+    least = max(
+        _GAIN_EACH * len(balls),
+        _LEAST_GAIN,
+        _PART_OF_BEST * max(gain for gain, _ in found.values()),
+    )
+    named = sorted(
+        ((gain, key, at) for key, (gain, at) in found.items() if gain >= least), reverse=True
+    )
     if len(named) == len(_KEYS):
         return ""
     stated_as = {key: getattr(geometry, key) for key in _KEYS}
-    words = [f"{key}: found {stated_as[key] or 'none'}, expected about {at:.0f} by the presses" for _, key, at in named]
+    words = [
+        f"{key}: found {stated_as[key] or 'none'}, expected about {at:.0f} by the presses"
+        for _, key, at in named
+    ]
     return f"SENSOR.yaml: {'; or '.join(words)}" if words else ""
 
 
@@ -61,7 +74,9 @@ def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry
         assert o.y_mm is not None
         ball = stated_ball(tried.skin_radius_mm, o.x_mm, o.y_mm, o.depth_mm, o.radius_mm)
         x_px, y_px, height_mm = o.seen_cells
-        known = np.maximum(np.nan_to_num(ball_height_along(tried, ball, x_px * per_px, y_px * per_px)), 0)
+        known = np.maximum(
+            np.nan_to_num(ball_height_along(tried, ball, x_px * per_px, y_px * per_px)), 0
+        )
         seen = height_mm * float(scale_mm(tried) / scale_mm(stated))
         sums.append((seen @ known, seen @ seen, max(known @ known, 1e-9)))
     both, of_seen, of_known = np.array(sums).T

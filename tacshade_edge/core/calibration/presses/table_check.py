@@ -90,7 +90,9 @@ def unit_mistake(factor: float) -> str:
     )
 
 
-def size_mistake(depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry) -> str:
+def size_mistake(
+    depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
+) -> str:
     """A wrong size of the skin or of all balls, by median ratios of shown to stated depths and radii (NaN: unknown)."""
     places = _place_factor(observations, geometry.skin_radius_mm)
     skin = math.nan
@@ -140,7 +142,9 @@ def other_polarity(polarity: Polarity) -> Polarity:
     return "dark" if polarity == "bright" else "bright"
 
 
-def polarity_hint(observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity) -> str:
+def polarity_hint(
+    observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity
+) -> str:
     """A hint at the other polarity, if the places of the same presses then fit clearly better; empty otherwise."""
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
@@ -170,11 +174,18 @@ def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> s
     return f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}"
 
 
-def _error_mm(stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)) -> float:
+def _error_mm(
+    stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)
+) -> float:
     """Median distance of the located places from the stated ones as read by other axes, mm."""
     a, b, c, d = axes
-    places = [(a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1]) for o in stated]
-    return float(np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)]))
+    places = [
+        (a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1])
+        for o in stated
+    ]
+    return float(
+        np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)])
+    )
 
 
 def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
@@ -186,7 +197,10 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if len(found) < _LEAST_ZEROED or np.ptp(found) == 0:
         return ""
     stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
-    missing = stated - np.array([at.deeper(at.first_touch_mm(r)).depth_max_mm(r) for at in placed]) / scale
+    missing = (
+        stated
+        - np.array([at.deeper(at.first_touch_mm(r)).depth_max_mm(r) for at in placed]) / scale
+    )
     x = np.stack((found, missing, np.ones_like(found)), axis=1)
     if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
         (_, share, _), (_, deviation, _) = _robust_fit(x, stated)

@@ -74,10 +74,14 @@ def find_markers(grey: U8) -> MarkerField | None:
     if min(grey.shape) < 16:
         return None
     method = cv2.INTER_AREA if scale > 1 else cv2.INTER_CUBIC
-    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=method).astype(np.float32)
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=method).astype(
+        np.float32
+    )
     best, best_score = None, 0.0
     for sigma_px in _SIGMAS_PX:
-        difference = cv2.GaussianBlur(small, (0, 0), sigma_px) - cv2.GaussianBlur(small, (0, 0), _WIDER * sigma_px)
+        difference = cv2.GaussianBlur(small, (0, 0), sigma_px) - cv2.GaussianBlur(
+            small, (0, 0), _WIDER * sigma_px
+        )
         for signed in (difference, -difference):
             found = _even_field(*_extrema(signed, sigma_px))
             if found is not None and (score := _score(*found)) > best_score:
@@ -88,7 +92,9 @@ def find_markers(grey: U8) -> MarkerField | None:
     # Pixel centres are whole numbers: resizing keeps the image's corners, not its first pixel.
     markers = (points + 0.5) * scale - 0.5
     (col, row), radius = cv2.minEnclosingCircle(markers[:, ::-1].astype(np.float32))
-    return MarkerField(markers, pitch * scale, Disc(float(row), float(col), float(radius) + pitch * scale / 2))
+    return MarkerField(
+        markers, pitch * scale, Disc(float(row), float(col), float(radius) + pitch * scale / 2)
+    )
 
 
 def _extrema(difference: F32, sigma_px: float) -> tuple[F64, F32]:
@@ -111,10 +117,15 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
     pitch = np.median(distance[:, 1:4], axis=1)
     one, other = np.repeat(np.arange(len(points)), _NEAREST - 1), index[:, 1:].ravel()
     nearer, further = np.minimum(pitch[one], pitch[other]), np.maximum(pitch[one], pitch[other])
-    fainter, stronger = np.minimum(contrast[one], contrast[other]), np.maximum(contrast[one], contrast[other])
+    fainter, stronger = (
+        np.minimum(contrast[one], contrast[other]),
+        np.maximum(contrast[one], contrast[other]),
+    )
     alike = distance[:, 1:].ravel() < _PITCHES * nearer
     alike &= (further < _UNLIKE_PITCH * nearer) & (stronger < _UNLIKE_CONTRAST * fainter)
-    links = coo_matrix((np.ones(np.count_nonzero(alike)), (one[alike], other[alike])), shape=(len(points),) * 2)
+    links = coo_matrix(
+        (np.ones(np.count_nonzero(alike)), (one[alike], other[alike])), shape=(len(points),) * 2
+    )
     graph = csr_matrix((links + links.T) > 0)
     kept = np.flatnonzero(np.asarray(graph.sum(axis=1)).ravel() >= _LEAST_NEIGHBOURS)
     if len(kept) < LEAST_MARKERS:
@@ -129,7 +140,9 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
         alike_blobs = np.count_nonzero(contrast > 0.5 * np.median(contrast[field]))
         if uneven > _MOST_UNEVEN_FEW or len(field) < _FEW_PART * alike_blobs:
             return None
-    return (points[field], float(np.median(pitch[field])), uneven) if uneven <= _MOST_UNEVEN else None
+    return (
+        (points[field], float(np.median(pitch[field])), uneven) if uneven <= _MOST_UNEVEN else None
+    )
 
 
 def _score(points: F64, pitch: float, uneven: float) -> float:
@@ -154,10 +167,16 @@ def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
         return "adaptive"
     mask = disc_mask(grey.shape[0], grey.shape[1], disc).astype(np.uint8)
     speck_px = _SPECK * pitch_px**2
-    specks = np.count_nonzero(_piece_sizes(binarise(grey, mask, "adaptive", pitch_px))[1] < speck_px)
+    specks = np.count_nonzero(
+        _piece_sizes(binarise(grey, mask, "adaptive", pitch_px))[1] < speck_px
+    )
     if specks <= _SPECKS_PER_MARKER * len(field.markers_px):
         return "adaptive"
-    return "otsu" if _shown_part(field, binarise(grey, mask, "otsu", pitch_px)) >= _SHOWN_PART else "adaptive"
+    return (
+        "otsu"
+        if _shown_part(field, binarise(grey, mask, "otsu", pitch_px)) >= _SHOWN_PART
+        else "adaptive"
+    )
 
 
 def _piece_sizes(white: U8) -> tuple[np.ndarray, np.ndarray]:

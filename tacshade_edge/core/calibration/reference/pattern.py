@@ -61,8 +61,13 @@ _LEAST_RIM_SEEN = 0.25
 def rim_seen(shape: tuple[int, ...], disc: Disc) -> float:
     """Part of a circle's rim, 0 to 1, that lies in an image of a shape (rows, cols)."""
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
-    rows, cols = disc.row_c + disc.radius_px * np.sin(angles), disc.col_c + disc.radius_px * np.cos(angles)
-    return float(np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1)))
+    rows, cols = (
+        disc.row_c + disc.radius_px * np.sin(angles),
+        disc.col_c + disc.radius_px * np.cos(angles),
+    )
+    return float(
+        np.mean((rows >= 0) & (rows <= shape[0] - 1) & (cols >= 0) & (cols <= shape[1] - 1))
+    )
 
 
 class CircleNotFoundError(ConfigError):
@@ -83,7 +88,9 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
         advice = _advice(error.guess) if error.guess else ""
         raise CircleNotFoundError(f"{error}{advice}", error.guess) from None
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
-        found = f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
+        found = (
+            f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
+        )
         expected = f"expected a circle that overlaps the {grey.shape[1]}x{grey.shape[0]} px image"
         raise ConfigError(f"visible_circle: found {found}, {expected}")
     return disc
@@ -102,12 +109,16 @@ def stated_warning(grey: U8, disc: Disc) -> str:
     if not field or field.holds(disc, _STATED_PART):
         return ""
     outside = f"found {100 * (1 - _STATED_PART):.0f} % or more of the markers outside it"
-    return f"SENSOR.yaml: visible_circle: {outside}, expected nearly all inside; `--plot` draws both"
+    return (
+        f"SENSOR.yaml: visible_circle: {outside}, expected nearly all inside; `--plot` draws both"
+    )
 
 
 def _advice(guess: Disc) -> str:
     circle = f"{{row_px: {guess.row_c:.0f}, col_px: {guess.col_c:.0f}, radius_px: {guess.radius_px:.0f}}}"
-    return f"; measure it in the image and state it in SENSOR.yaml, such as `visible_circle: {circle}`"
+    return (
+        f"; measure it in the image and state it in SENSOR.yaml, such as `visible_circle: {circle}`"
+    )
 
 
 def find_disc(grey: U8) -> Disc:
@@ -122,13 +133,23 @@ def find_disc(grey: U8) -> Disc:
     field = find_markers(grey)
     rims = [rim for starts in _starts(grey, field) if (rim := _sharpest(grey, starts))]
     if not rims:
-        raise CircleNotFoundError(f"{_NOT_FOUND}: the pattern covers too little or all of the image")
+        raise CircleNotFoundError(
+            f"{_NOT_FOUND}: the pattern covers too little or all of the image"
+        )
     pitch_px = field.pitch_px if field else 0.0
     endings = [_ending_part(grey, rim.disc, pitch_px) for rim in rims]
-    good = [rim for rim, ending in zip(rims, endings, strict=True) if _is_visible_circle(grey, rim, ending, field)]
+    good = [
+        rim
+        for rim, ending in zip(rims, endings, strict=True)
+        if _is_visible_circle(grey, rim, ending, field)
+    ]
     if good:
-        return max(good, key=lambda rim: (_filled(grey, rim.disc, field) >= _FILLED, rim.sharpness)).disc
-    whole = field and rim_seen(grey.shape, field.circle) >= _RIM_WHOLE  # an image full of pattern shows no circle
+        return max(
+            good, key=lambda rim: (_filled(grey, rim.disc, field) >= _FILLED, rim.sharpness)
+        ).disc
+    whole = (
+        field and rim_seen(grey.shape, field.circle) >= _RIM_WHOLE
+    )  # an image full of pattern shows no circle
     if field and whole and _filled(grey, field.circle, field) >= _FILLED:
         return field.circle
     ending, best = max(zip(endings, rims, strict=True), key=lambda each: each[0])
@@ -143,12 +164,18 @@ def _filled(grey: U8, disc: Disc, field: MarkerField | None) -> float:
 
 def _is_visible_circle(grey: U8, rim: _Rim, ending: float, field: MarkerField | None) -> bool:
     """Whether a rim, along a part of which the pattern ends, can be the visible circle's."""
-    if rim.strength < _LEAST_PATTERN or ending < _ENDING or rim_seen(grey.shape, rim.disc) < _LEAST_RIM_SEEN:
+    if (
+        rim.strength < _LEAST_PATTERN
+        or ending < _ENDING
+        or rim_seen(grey.shape, rim.disc) < _LEAST_RIM_SEEN
+    ):
         return False
     if field is None:
         return True
     larger = rim.disc.radius_px / field.circle.radius_px
-    if _filled(grey, rim.disc, field) < _HALF_FILLED or (larger > _BESIDE[1] and _is_isolated(grey, field)):
+    if _filled(grey, rim.disc, field) < _HALF_FILLED or (
+        larger > _BESIDE[1] and _is_isolated(grey, field)
+    ):
         return False
     return field.holds(rim.disc) or (ending >= _SURE and larger >= _LAMPS)
 
@@ -169,7 +196,9 @@ def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
 def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
     """Part of a circle's sectors in the image, 0 to 1, in which the pattern ends at the circle, for half a pitch."""
     n = _width(disc)
-    radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(-n, max(n, pitch_px / 2 / _RADIAL_STEP_PX))
+    radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(
+        -n, max(n, pitch_px / 2 / _RADIAL_STEP_PX)
+    )
     strength, seen = _pattern_strength(grey, disc, radii)
     rays = seen.all(axis=1).reshape(_SECTORS, -1)
     shown = rays.mean(axis=1) >= 0.5
@@ -177,8 +206,12 @@ def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
         return 0.0
     sectors = strength.reshape(_SECTORS, -1, len(radii))[shown]
     weight = rays[shown] / rays[shown].sum(axis=1, keepdims=True)
-    inner, outer = (np.sqrt((part.mean(axis=2) * weight).sum(axis=1)) for part in np.split(sectors, [n], axis=2))
-    ends = (inner >= max(_PATTERN_PART * float(np.median(inner)), _LEAST_PATTERN)) & (outer <= _RIM_FALL * inner)
+    inner, outer = (
+        np.sqrt((part.mean(axis=2) * weight).sum(axis=1)) for part in np.split(sectors, [n], axis=2)
+    )
+    ends = (inner >= max(_PATTERN_PART * float(np.median(inner)), _LEAST_PATTERN)) & (
+        outer <= _RIM_FALL * inner
+    )
     # A few sectors may agree by chance.
     return float(np.count_nonzero(ends) / max(len(ends), _LEAST_SECTORS))
 
@@ -218,7 +251,9 @@ def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
     for _ in range(20):
         here = best
         for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            moved = Disc(here.disc.row_c + dr * step_px, here.disc.col_c + dc * step_px, here.disc.radius_px)
+            moved = Disc(
+                here.disc.row_c + dr * step_px, here.disc.col_c + dc * step_px, here.disc.radius_px
+            )
             tried = _end_of_pattern(grey, moved, 1 - reach, 1 + reach)
             if tried and tried.sharpness > best.sharpness:
                 best = tried
@@ -232,7 +267,9 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
     through its rim if the image cuts it; None if it is too small.
     """
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
-    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(
+        np.float32
+    )
     fine = cv2.absdiff(small, cv2.blur(small, (9, 9)))
     texture = cv2.blur(fine, (9, 9))
     level = np.clip(texture * (255 / max(float(texture.max()), 1e-6)), 0, 255).astype(np.uint8)
@@ -243,7 +280,9 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
     if count < 2:
         return None
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    contours, _ = cv2.findContours((labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours, _ = cv2.findContours(
+        (labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
     hull = cv2.convexHull(max(contours, key=cv2.contourArea))
     area = cv2.contourArea(hull)
     moments = cv2.moments(hull)
@@ -251,10 +290,14 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
         return None
     row, col = (float(moments[name] / moments["m00"]) * scale for name in ("m01", "m10"))
     disc = Disc(row, col, float(np.sqrt(area / np.pi)) * scale)
-    return disc, _circle_through_rim(hull[:, 0, ::-1].astype(np.float64), small.shape, _BORDER_PX, scale)
+    return disc, _circle_through_rim(
+        hull[:, 0, ::-1].astype(np.float64), small.shape, _BORDER_PX, scale
+    )
 
 
-def _circle_through_rim(hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0) -> Disc | None:
+def _circle_through_rim(
+    hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0
+) -> Disc | None:
     """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None if not cut."""
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
     rim = hull[from_border > border_px]
@@ -263,7 +306,11 @@ def _circle_through_rim(hull: F64, shape: tuple[int, ...], border_px: float, sca
     unknowns = np.column_stack((2 * rim, np.ones(len(rim))))
     (row, col, rest), *_ = np.linalg.lstsq(unknowns, (rim * rim).sum(axis=1), rcond=None)
     square = rest + row * row + col * col
-    return Disc(float(row) * scale, float(col) * scale, float(np.sqrt(square)) * scale) if square > 0 else None
+    return (
+        Disc(float(row) * scale, float(col) * scale, float(np.sqrt(square)) * scale)
+        if square > 0
+        else None
+    )
 
 
 def _width(disc: Disc) -> int:
@@ -278,11 +325,15 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
     rows = (disc.row_c + radii[None, :] * np.sin(angles)[:, None]).astype(np.float32)
-    polar = cv2.remap(grey, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    polar = cv2.remap(grey, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(
+        np.float32
+    )
     n = max(int(_RAYS * _SLOW_TURN), 1)
     slow = cv2.blur(np.vstack([polar[-n:], polar, polar[:n]]), (1, 2 * (n // 2) + 1))[n:-n]
     strength: F64 = ((polar - slow) ** 2).astype(np.float64)
-    seen: Bool = (rows >= 0) & (rows <= grey.shape[0] - 1) & (cols >= 0) & (cols <= grey.shape[1] - 1)
+    seen: Bool = (
+        (rows >= 0) & (rows <= grey.shape[0] - 1) & (cols >= 0) & (cols <= grey.shape[1] - 1)
+    )
     strength[~seen] = 0
     return strength, seen
 
@@ -292,7 +343,9 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | Non
     averages all angles: a wrong centre smears the end, so the right one has the greatest sharpness.
     """
     n = _width(disc)
-    radii = np.arange(low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX)
+    radii = np.arange(
+        low * disc.radius_px - n * _RADIAL_STEP_PX, high * disc.radius_px, _RADIAL_STEP_PX
+    )
     profile = np.sqrt(_pattern_strength(grey, disc, radii)[0].mean(axis=0))
     mean = np.convolve(profile, np.ones(n) / n, "valid")  # mean[i] covers i .. i+n-1
     inner, outer = mean[:-n], mean[n:]
@@ -328,23 +381,31 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
     """
     half = max(int(0.5 * disc.radius_px), 8)
     row, col = round(disc.row_c), round(disc.col_c)
-    patch = grey[max(row - half, 0) : row + half, max(col - half, 0) : col + half].astype(np.float32)
+    patch = grey[max(row - half, 0) : row + half, max(col - half, 0) : col + half].astype(
+        np.float32
+    )
     patch = patch - cv2.blur(patch, (2 * (half // 3) + 1, 2 * (half // 3) + 1))
     window = np.hanning(patch.shape[0])[:, None] * np.hanning(patch.shape[1])[None, :]
     size = 1024
     power = np.abs(np.fft.rfft2(patch * window, s=(size, size))) ** 2
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
     bins = np.minimum((frequency * size).astype(int), size // 2)
-    ring = np.bincount(bins.ravel(), weights=power.ravel()) / np.maximum(np.bincount(bins.ravel()), 1)
+    ring = np.bincount(bins.ravel(), weights=power.ravel()) / np.maximum(
+        np.bincount(bins.ravel()), 1
+    )
     low, high = int(size * 4 / half), int(size * 0.25)
     band = ring[low:high]
     if band.size < 8 or not band.max() > 0:
-        raise ConfigError("found no marker pattern in the reference: the visible circle is too small")
+        raise ConfigError(
+            "found no marker pattern in the reference: the visible circle is too small"
+        )
     smooth = np.convolve(band, np.ones(5) / 5, "same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
     if not strong or smooth.max() < 5 * np.median(smooth):
-        raise ConfigError("found no marker pattern in the reference: the image's spectrum has no clear ring")
+        raise ConfigError(
+            "found no marker pattern in the reference: the image's spectrum has no clear ring"
+        )
     first = strong[0]  # the lowest strong ring, because a honeycomb's second ring can be stronger
     near = slice(max(first - 4, 0), first + 5)
     weights = smooth[near]

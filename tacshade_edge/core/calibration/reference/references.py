@@ -49,13 +49,19 @@ _MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
 
 def reference_load_reason(preprocessor: Preprocessor) -> str:
     """A message why the reference seems to have been taken under load; empty if it does not."""
-    g0, voting, geometry = preprocessor.reference_g, preprocessor.voting, preprocessor.calibration.geometry
+    g0, voting, geometry = (
+        preprocessor.reference_g,
+        preprocessor.voting,
+        preprocessor.calibration.geometry,
+    )
     grid, disc = preprocessor.grid, geometry.disc
     rho2 = radius_squared(grid, disc)
     residual = ring_residual(g0, rho2, voting)
     deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
     threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
-    elsewhere = np.median([quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0)
+    elsewhere = np.median(
+        [quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0
+    )
     lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
     area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
     if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
@@ -105,12 +111,20 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
     whites = [prepared.binarised(grey) for grey in greys]
     noise = calibration.noise_grey
     if len(greys) >= NOISE_REFERENCES:
-        ratios = [prepared.ratio(prepared.integrator.integrate(white))[prepared.rays.inside] for white in whites]
+        ratios = [
+            prepared.ratio(prepared.integrator.integrate(white))[prepared.rays.inside]
+            for white in whites
+        ]
         noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
     reference_white = np.zeros_like(greys[0])
-    prepared.window.cut(reference_white)[...] = np.rint(np.sum(whites, axis=0) * np.float32(255 / len(greys)))
+    prepared.window.cut(reference_white)[...] = np.rint(
+        np.sum(whites, axis=0) * np.float32(255 / len(greys))
+    )
     return replace(
-        calibration, reference_white=reference_white, reference_grey=pattern.mean_image(greys), noise_grey=noise
+        calibration,
+        reference_white=reference_white,
+        reference_grey=pattern.mean_image(greys),
+        noise_grey=noise,
     )
 
 
@@ -121,14 +135,22 @@ def shown_polarity(calibration: Calibration) -> Polarity:
     disc, pitch_px = calibration.geometry.disc, calibration.pitch_px
     shape = height, width = calibration.image_height_px, calibration.image_width_px
     side = 2 * round(pitch_px) + 1
-    detail = calibration.reference_grey - cv2.blur(calibration.reference_grey.astype(np.float32), (side, side))
+    detail = calibration.reference_grey - cv2.blur(
+        calibration.reference_grey.astype(np.float32), (side, side)
+    )
     contrast = np.sqrt(np.maximum(cv2.blur(detail * detail, (side, side)), 0)) + 1
     even = np.where(disc_mask(height, width, disc), np.clip(detail / contrast, -2, 2), 0)
-    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])) * (pitch_px * 3**0.5 / 2)
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])) * (
+        pitch_px * 3**0.5 / 2
+    )
     ring = np.exp(-0.5 * (np.log(np.maximum(frequency, 1e-6)) / _RING_WIDTH) ** 2)
     wave = np.fft.irfft2(np.fft.rfft2(even) * ring, s=shape)
     middle = wave[disc_mask(height, width, replace(disc, radius_px=_MIDDLE * disc.radius_px))]
-    skewness = float(np.mean(middle**3) / max(float(np.mean(middle**2)), 1e-12) ** 1.5) if middle.size else 0.0
+    skewness = (
+        float(np.mean(middle**3) / max(float(np.mean(middle**2)), 1e-12) ** 1.5)
+        if middle.size
+        else 0.0
+    )
     return "dark" if skewness > _WHITE_PINS else "bright"
 
 
@@ -160,7 +182,9 @@ def check_references(
     if pressed := [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]:
         others = f" and {len(pressed) - 3} more" if len(pressed) > 3 else ""
         names = f"{', '.join(pressed[:3])}{others}"
-        loads.append(f"the skin seems pressed in reference {names}, compared with the mean of all references")
+        loads.append(
+            f"the skin seems pressed in reference {names}, compared with the mean of all references"
+        )
     if any(loads) and not allow_loaded:
         advice = "take the references again without contact, or pass --allow-loaded-reference"
         raise ConfigError(f"{next(filter(None, loads))}; {advice}")
@@ -169,7 +193,10 @@ def check_references(
 
 
 def rezero(
-    calibration: Calibration, images: Sequence[U8], allow_loaded: bool = False, names: Sequence[str] = ()
+    calibration: Calibration,
+    images: Sequence[U8],
+    allow_loaded: bool = False,
+    names: Sequence[str] = (),
 ) -> Calibration:
     """Replace a calibration's reference by new images of the unloaded skin. Raises ConfigError if an image cannot be
     used, the camera moved too far, or something touches the skin and that is not allowed.
@@ -180,14 +207,18 @@ def rezero(
     disc = calibration.geometry.disc
     judges = plain_judges(calibration, unloaded=True)
     old = camera.look(calibration.reference_grey, disc, calibration.pitch_px)
-    refused = [f"rejected reference {name}: " for name in names] or ["rejected the reference: "] * len(greys)
+    refused = [f"rejected reference {name}: " for name in names] or [
+        "rejected the reference: "
+    ] * len(greys)
     for grey, lead in zip(greys, refused, strict=True):
         if reason := judges.reason(grey):
             raise ConfigError(f"{lead}{reason}")
         drift = camera.drift(old, grey)
         if camera.shifted_too_far(drift, disc):
             shift = camera.shift_reason(drift, disc)
-            raise ConfigError(f"{lead}{shift}; fasten the camera in its old position, or calibrate again")
+            raise ConfigError(
+                f"{lead}{shift}; fasten the camera in its old position, or calibrate again"
+            )
         if drift.contrast < _WORN_CONTRAST:
             found = f"found {drift.contrast:.2f} times the old reference's contrast, expected at least {_WORN_CONTRAST}"
             raise ConfigError(f"{lead}{found} times; clean or focus the lens, or calibrate again")
@@ -281,7 +312,9 @@ def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> F
     renewed = replace(with_reference(replace(origin, crc32=0), greys), noise_grey=origin.noise_grey)
     prepared = Preprocessor(renewed, PROFILE)
     disc = origin.geometry.disc
-    drift = camera.drift(camera.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey)
+    drift = camera.drift(
+        camera.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey
+    )
     distance = Distance(drift, *g_change(Preprocessor(origin, PROFILE), prepared))
     reason = beyond(distance, disc)
     if reason or not _worth(Preprocessor(current, PROFILE), prepared):
@@ -293,7 +326,9 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     """The bound that a reference exceeds; None if it exceeds none."""
     drift = distance.drift
     if drift.still_part == 0:
-        return Reason(ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's")
+        return Reason(
+            ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's"
+        )
     if reason := camera.shift_reason(drift, disc) or drift.light_reason:
         return reason
     if abs(distance.common_grey) > COMMON_GREY:

@@ -28,7 +28,10 @@ def mcap_files(path: Path) -> list[Path]:
     if table_in(path) is not None:
         return []
     files = [file for file in path.iterdir() if file.name.lower().endswith(_SUFFIXES)]
-    return sorted(files, key=lambda file: [int(t) if t.isdecimal() else t for t in re.split(r"(\d+)", file.name)])
+    return sorted(
+        files,
+        key=lambda file: [int(t) if t.isdecimal() else t for t in re.split(r"(\d+)", file.name)],
+    )
 
 
 def mcap_frames(path: Path) -> McapFrames:

@@ -84,7 +84,9 @@ class McapFrames:
                 continue
             self._paths.append(path)
         stated = [span for span in spans if span is not None]
-        self.length_ns = max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
+        self.length_ns = (
+            max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
+        )
         self.damage = "; ".join(damage)
         self.topic, self._is_ours = _topic_of(self._paths or paths)
         self._unusable = 0
@@ -98,7 +100,9 @@ class McapFrames:
             where, too_many = "", self._unusable > _UNUSABLE_MAX
             try:
                 if too_many:
-                    unusable = f"found {self._unusable} unusable messages; skipping all later messages"
+                    unusable = (
+                        f"found {self._unusable} unusable messages; skipping all later messages"
+                    )
                     raise DecodeError(f"{shown(self.topic)}: {unusable}")
                 if isinstance(found, DecodeError):
                     raise found
@@ -153,12 +157,21 @@ class McapFrames:
                         elif channel.topic == self.topic:
                             images += 1
                             schema = schemas.get(channel.schema_id)
-                            yield schema.name if schema else "", channel.message_encoding, record, about
+                            yield (
+                                schema.name if schema else "",
+                                channel.message_encoding,
+                                record,
+                                about,
+                            )
             if unknown:
                 found = f"{unknown} messages on channels that the file does not describe"
                 yield DecodeError(f"{shown(path)}: found {found}; skipping these messages")
             counts = file.summary.counts if file.summary else {}
-            expected = sum(counts.get(channel.id, 0) for channel in channels.values() if channel.topic == self.topic)
+            expected = sum(
+                counts.get(channel.id, 0)
+                for channel in channels.values()
+                if channel.topic == self.topic
+            )
             if expected - images > damaged:
                 found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
                 yield DecodeError(f"{shown(path)}: found {found}; the missing messages are lost")
@@ -179,10 +192,14 @@ class McapFrames:
         if not stated:
             return Row(about.image, about.t_ns, None)
         if len(stated) < len(POSE_KEYS) or about.pose_error_us is None:
-            raise DecodeError(f"found only {', '.join(stated)} of a pose, expected all its values and pose_error_us")
+            raise DecodeError(
+                f"found only {', '.join(stated)} of a pose, expected all its values and pose_error_us"
+            )
         pose = Pose(about.t_ns, **stated)
         if abs((norm := math.hypot(pose.qw, pose.qx, pose.qy, pose.qz)) - 1) > UNIT_TOLERANCE:
-            raise DecodeError(f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1")
+            raise DecodeError(
+                f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1"
+            )
         return Row(about.image, about.t_ns, pose, about.pose_error_us)
 
 
@@ -193,7 +210,11 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     for path in paths:
         with contextlib.closing(McapFile(path)) as file:
             schemas: dict[int, Schema] = {}
-            described = (*file.summary.schemas.values(), *file.summary.channels.values()) if file.summary else ()
+            described = (
+                (*file.summary.schemas.values(), *file.summary.channels.values())
+                if file.summary
+                else ()
+            )
             for record in described or file.records():
                 if isinstance(record, Schema):
                     schemas[record.id] = record
@@ -202,7 +223,11 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
                 elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
                     return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
-                    topics |= {record.topic} if (found.name, record.message_encoding) in DECODERS else set()
+                    topics |= (
+                        {record.topic}
+                        if (found.name, record.message_encoding) in DECODERS
+                        else set()
+                    )
             if file.cut_off:
                 damage = damage or f"; {shown(path)} was cut off"
     if len(topics) == 1:
@@ -210,7 +235,9 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
     named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
     count = f"{len(topics)} image topics ({named})" if topics else "no image topics"
     expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
-    raise ConfigError(f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}")
+    raise ConfigError(
+        f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}"
+    )
 
 
 def _about(payload: bytes) -> FrameAbout | str:
@@ -241,14 +268,18 @@ def _compressed(data: bytes) -> U8:
 
 def _raw(image: PixelRows) -> U8:
     if image.encoding not in _ENCODINGS:
-        raise DecodeError(f"found the encoding {quoted(image.encoding)}, expected one of {', '.join(_ENCODINGS)}")
+        raise DecodeError(
+            f"found the encoding {quoted(image.encoding)}, expected one of {', '.join(_ENCODINGS)}"
+        )
     channels, to_bgr = _ENCODINGS[image.encoding]
     rows, cols, step = image.height_px, image.width_px, image.step_bytes
     if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
         raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px per side")
     if step < cols * channels or len(image.data) < rows * step:
         raise DecodeError(f"found {len(image.data)} bytes, expected {rows} rows of {step} bytes")
-    pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[:, : cols * channels]
+    pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[
+        :, : cols * channels
+    ]
     if channels == 1:
         return pixels.copy()
     pixels = pixels.reshape(rows, cols, channels)
@@ -257,14 +288,20 @@ def _raw(image: PixelRows) -> U8:
 
 def _foxglove_raw(payload: bytes) -> U8:
     message = RawImage.FromString(payload)
-    return _raw(PixelRows(message.height, message.width, message.encoding, message.step, message.data))
+    return _raw(
+        PixelRows(message.height, message.width, message.encoding, message.step, message.data)
+    )
 
 
 # (schema, encoding of messages) to a function from payload to pixels.
 DECODERS: Final[dict[tuple[str, str], Callable[[bytes], U8]]] = {
-    ("foxglove.CompressedImage", "protobuf"): lambda payload: _compressed(CompressedImage.FromString(payload).data),
+    ("foxglove.CompressedImage", "protobuf"): lambda payload: _compressed(
+        CompressedImage.FromString(payload).data
+    ),
     ("foxglove.RawImage", "protobuf"): _foxglove_raw,
-    ("sensor_msgs/msg/CompressedImage", "cdr"): lambda data: _compressed(ros_image.decode_compressed_image(data)),
+    ("sensor_msgs/msg/CompressedImage", "cdr"): lambda data: _compressed(
+        ros_image.decode_compressed_image(data)
+    ),
     ("sensor_msgs/msg/Image", "cdr"): lambda payload: _raw(ros_image.decode_image(payload)),
 }
 
@@ -272,7 +309,9 @@ DECODERS: Final[dict[tuple[str, str], Callable[[bytes], U8]]] = {
 def image_of(schema: str, encoding: str, payload: bytes) -> U8:
     """The picture in a message, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError."""
     if (schema, encoding) not in DECODERS:
-        raise DecodeError(f"found a {quoted(schema)} message encoded as {quoted(encoding)}, expected an image message")
+        raise DecodeError(
+            f"found a {quoted(schema)} message encoded as {quoted(encoding)}, expected an image message"
+        )
     try:
         return DECODERS[schema, encoding](payload)
     except ProtobufError as error:

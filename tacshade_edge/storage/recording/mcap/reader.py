@@ -29,12 +29,20 @@ from tacshade_edge.regular_files import open_regular
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")  # kind, length
 _FILE_BYTES_MAX: Final = 1 << 40
-CHUNK_BYTES_MAX: Final = 32 << 20  # packed or not, or of a record outside chunks: a reader must hold it in memory
+CHUNK_BYTES_MAX: Final = (
+    32 << 20
+)  # packed or not, or of a record outside chunks: a reader must hold it in memory
 DESCRIPTION_BYTES_MAX: Final = 1 << 20  # of a schema or channel
-SUMMARY_BYTES_MAX: Final = 16 << 20  # enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size
-_UNPACKED_MAX: Final = 256  # greatest unpacked size over the file's size: lz4 cannot compress further
+SUMMARY_BYTES_MAX: Final = (
+    16 << 20
+)  # enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size
+_UNPACKED_MAX: Final = (
+    256  # greatest unpacked size over the file's size: lz4 cannot compress further
+)
 _UNPACKED_FREE_BYTES: Final = 16 << 20  # beyond `_UNPACKED_MAX`
-_RECORD_COSTS_BYTES: Final = 1 << 10  # least size that a record counts as: millions of empty ones take time
+_RECORD_COSTS_BYTES: Final = (
+    1 << 10
+)  # least size that a record counts as: millions of empty ones take time
 _SCAN_BYTES: Final = 1 << 20
 _DAMAGED_MAX: Final = 10_000  # places in a file, because a file full of damage takes time
 _DAMAGED: Final = (ValueError, struct.error, McapError, zstandard.ZstdError, RuntimeError, EOFError)
@@ -60,7 +68,9 @@ _FIELDS: Final[dict[int, tuple[int | str, ...]]] = {
 # Most bytes after the fields: a message's payload, or what later format versions may add.
 _MORE_BYTES_MAX: Final[dict[int, float]] = {Opcode.MESSAGE: float("inf"), Opcode.ATTACHMENT: 0}
 _LATER_FIELDS_BYTES: Final = 64
-_END: Final = frozenset({Opcode.DATA_END, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET})
+_END: Final = frozenset(
+    {Opcode.DATA_END, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET}
+)
 # The head of a chunk or an attachment with a length below 2^32.
 _AFTER_DAMAGE: Final = re.compile(rb"(?=[\x06\x09][\s\S]{4}\0{4})")
 
@@ -81,7 +91,9 @@ class Summary:
     begin: int
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)  # messages in each channel, if the file states them
+    counts: dict[int, int] = field(
+        default_factory=dict
+    )  # messages in each channel, if the file states them
     span_ns: tuple[int, int] | None = None  # times of the first and the last message
 
 
@@ -152,7 +164,8 @@ class McapFile:
             if self._unpacked > self._unpacked_max:
                 found = f"{self._name}: skipping the data after byte {place.end}: found more than "
                 expected = (
-                    f"{self._unpacked_max} unpacked bytes, expected at most {_UNPACKED_MAX} times the file's size"
+                    f"{self._unpacked_max} unpacked bytes, "
+                    f"expected at most {_UNPACKED_MAX} times the file's size"
                 )
                 yield DecodeError(found + expected)
                 return
@@ -180,7 +193,9 @@ class McapFile:
 
     def _records_at(self, place: Place) -> Iterator[Schema | Channel | Message]:
         is_chunk = place.kind == Opcode.CHUNK
-        size = int.from_bytes(self._read(place.body + 16, 8), "little") if is_chunk else place.length
+        size = (
+            int.from_bytes(self._read(place.body + 16, 8), "little") if is_chunk else place.length
+        )
         if (most := max(size, place.length)) > CHUNK_BYTES_MAX:
             raise ValueError(f"found {most} bytes, expected at most {CHUNK_BYTES_MAX}")
         self._unpacked += size
@@ -196,7 +211,9 @@ class McapFile:
             kind, length = _HEAD.unpack_from(data, at)
             at += _HEAD.size
             if length > len(data) - at:
-                raise ValueError(f"found a record of {length} bytes in it, expected at most {len(data) - at}")
+                raise ValueError(
+                    f"found a record of {length} bytes in it, expected at most {len(data) - at}"
+                )
             self._unpacked += max(0, _RECORD_COSTS_BYTES - length)
             inner = _record(kind, data[at : at + length])
             if isinstance(inner, Schema | Channel | Message):
@@ -218,7 +235,10 @@ class McapFile:
         if not len(_MAGIC) <= begin <= footer_at or footer_at - begin > SUMMARY_BYTES_MAX:
             raise ValueError("another beginning")
         data = self._read(begin, self._size - begin)
-        if footer.summary_crc and zlib.crc32(data[: footer_at - begin + _HEAD.size + 16]) != footer.summary_crc:
+        if (
+            footer.summary_crc
+            and zlib.crc32(data[: footer_at - begin + _HEAD.size + 16]) != footer.summary_crc
+        ):
             raise ValueError("its checksum does not match")
         found = Summary(begin)
         for record in StreamReader(io.BytesIO(data), skip_magic=True, emit_chunks=True).records:
@@ -238,7 +258,11 @@ class McapFile:
 
     def _after_damage(self, at: int, end: int) -> int | None:
         """The first byte of the next sound record after a damaged or unknown one; None if there is none."""
-        if (place := self._place(at)) is not None and place.end < end and self._sound(place.end) is not None:
+        if (
+            (place := self._place(at)) is not None
+            and place.end < end
+            and self._sound(place.end) is not None
+        ):
             return place.end
         at += 1
         while at < end:
@@ -332,7 +356,9 @@ def _unpacked(chunk: object) -> bytes:
     elif chunk.compression == "":
         data = packed
     else:
-        raise ValueError(f"found the compression {quoted(chunk.compression[:64])}, expected zstd, lz4")
+        raise ValueError(
+            f"found the compression {quoted(chunk.compression[:64])}, expected zstd, lz4"
+        )
     if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         raise ValueError("its checksum does not match")
     return bytes(data)
@@ -345,4 +371,6 @@ def _opened(path: Path) -> BinaryIO:
         except FileNotFoundError:  # its writer has ended it meanwhile
             return open_regular(path.with_name(path.name.removesuffix(".part")), _FILE_BYTES_MAX)
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: {error.strerror or error}, expected an MCAP file") from None
+        raise ConfigError(
+            f"{shown(path)}: {error.strerror or error}, expected an MCAP file"
+        ) from None

@@ -37,13 +37,19 @@ from tacshade_edge.types import F32, Frame, ObjectCloud
 from tacshade_edge.version import installed_version
 
 CHUNK_BYTES: Final = 1 << 20
-_MEDIA_TYPES: Final = {"yaml": "application/yaml", "json": "application/json", "jsonl": "application/jsonl"}
+_MEDIA_TYPES: Final = {
+    "yaml": "application/yaml",
+    "json": "application/json",
+    "jsonl": "application/jsonl",
+}
 _NUMBER: Final = {"type": "number"}
 _TEXT: Final = {"type": "string"}
 # Any value may be null, which the viewers' JSON Schema cannot express.
 _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     FRAME: dict.fromkeys(FrameAbout.__struct_fields__, _NUMBER) | {"image": _TEXT},
-    "contact": {field.name: _TEXT if field.name.endswith("_code") else _NUMBER for field in fields(Contact)},
+    "contact": {
+        field.name: _TEXT if field.name.endswith("_code") else _NUMBER for field in fields(Contact)
+    },
     "touch": TOUCH_SCHEMA["properties"],
     "objects": dict.fromkeys(("t_ns", "wall_ns", "seq"), _NUMBER) | {"fingers": {"type": "object"}},
 }
@@ -55,7 +61,12 @@ class McapWriter:
     """
 
     def __init__(
-        self, stream: BinaryIO, sensor_id: str, *, chunk_bytes: int = CHUNK_BYTES, compress: bool = True
+        self,
+        stream: BinaryIO,
+        sensor_id: str,
+        *,
+        chunk_bytes: int = CHUNK_BYTES,
+        compress: bool = True,
     ) -> None:
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer = Writer(stream, chunk_size=chunk_bytes, compression=compression)
@@ -67,13 +78,23 @@ class McapWriter:
 
     def frame(self, name: str, frame: Frame, png: bytes, wall_ns: int) -> None:
         """Write a captured frame: its name, times and pose, then its picture."""
-        values = {} if (pose := frame.pose) is None else {key: float(getattr(pose, key)) for key in POSE_KEYS}
+        values = (
+            {}
+            if (pose := frame.pose) is None
+            else {key: float(getattr(pose, key)) for key in POSE_KEYS}
+        )
         error_us = frame.pose_error_us if values else None
-        about = FrameAbout(image=name, seq=frame.seq, t_ns=frame.t_ns, pose_error_us=error_us, **values)
+        about = FrameAbout(
+            image=name, seq=frame.seq, t_ns=frame.t_ns, pose_error_us=error_us, **values
+        )
         self.write(FRAME, msgspec.json.encode(about), wall_ns, frame.seq)
         if values:
             self.write(
-                "tf", transform_message(tuple(values.values()), "base", "flange", self._sensor_id, wall_ns), wall_ns
+                "tf",
+                transform_message(
+                    tuple(values.values()), "base", "flange", self._sensor_id, wall_ns
+                ),
+                wall_ns,
             )
         self.write(CAMERA, camera_message(png, self._sensor_id, wall_ns), wall_ns, frame.seq)
 
@@ -112,14 +133,26 @@ class McapWriter:
         described = FileDescriptorSet()
         for file in files.values():
             file.CopyToProto(described.file.add())
-        return self._channel(name, "protobuf", descriptor.full_name, "protobuf", described.SerializeToString())
+        return self._channel(
+            name, "protobuf", descriptor.full_name, "protobuf", described.SerializeToString()
+        )
 
-    def _channel(self, name: str, encoding: str, title: str, schema_encoding: str, schema: bytes) -> int:
+    def _channel(
+        self, name: str, encoding: str, title: str, schema_encoding: str, schema: bytes
+    ) -> int:
         topic, ours = f"/tacshade/{self._sensor_id}/{name}", {OURS: name}
         schema_id = self._writer.register_schema(title, schema_encoding, schema)
         channel_id = int(self._writer.register_channel(topic, encoding, schema_id, ours))
-        self._described += _bytes_of(Schema(id=schema_id, data=schema, encoding=schema_encoding, name=title))
-        channel = Channel(id=channel_id, topic=topic, message_encoding=encoding, metadata=ours, schema_id=schema_id)
+        self._described += _bytes_of(
+            Schema(id=schema_id, data=schema, encoding=schema_encoding, name=title)
+        )
+        channel = Channel(
+            id=channel_id,
+            topic=topic,
+            message_encoding=encoding,
+            metadata=ours,
+            schema_id=schema_id,
+        )
         self._described += _bytes_of(channel)
         return channel_id
 
@@ -151,7 +184,9 @@ _POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 def camera_message(png: bytes, sensor_id: str, wall_ns: int) -> bytes:
     """The message of a captured frame, lossless."""
     frame_id = f"{sensor_id}/sensor"
-    message = CompressedImage(timestamp=_timestamp(wall_ns), frame_id=frame_id, data=png, format="png")
+    message = CompressedImage(
+        timestamp=_timestamp(wall_ns), frame_id=frame_id, data=png, format="png"
+    )
     return bytes(message.SerializeToString())
 
 
@@ -175,21 +210,29 @@ def cloud_message(touched: ObjectCloud, sensor_id: str, wall_ns: int) -> bytes:
     points = np.empty(len(touched.labels), _POINT)
     points["xyz"], points["object"] = touched.points_mm * np.float32(M_PER_MM), touched.labels
     described = [
-        PackedElementField(name=axis, offset=4 * i, type=PackedElementField.FLOAT32) for i, axis in enumerate("xyz")
+        PackedElementField(name=axis, offset=4 * i, type=PackedElementField.FLOAT32)
+        for i, axis in enumerate("xyz")
     ]
     message = PointCloud(
         timestamp=_timestamp(wall_ns),
         frame_id=f"{sensor_id}/sensor",
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         point_stride=_POINT.itemsize,
-        fields=[*described, PackedElementField(name="object", offset=12, type=PackedElementField.UINT16)],
+        fields=[
+            *described,
+            PackedElementField(name="object", offset=12, type=PackedElementField.UINT16),
+        ],
         data=points.tobytes(),
     )
     return bytes(message.SerializeToString())
 
 
 def transform_message(
-    a_T_b: Sequence[float], parent: ReferenceFrame, child: ReferenceFrame, sensor_id: str, wall_ns: int
+    a_T_b: Sequence[float],
+    parent: ReferenceFrame,
+    child: ReferenceFrame,
+    sensor_id: str,
+    wall_ns: int,
 ) -> bytes:
     """The message of `child`'s pose in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x, y, z."""
     x, y, z, qw, qx, qy, qz = a_T_b

@@ -44,7 +44,9 @@ def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float
     wrong = [replace(press, radius_mm=stated * press.radius_mm) for press in deep]
     assert low < float(np.median([seen(press).ball_factor for press in wrong])) < high
     asked = [check().question(press) for press in wrong]
-    assert sum(("diameter" if stated > 1 else "radius") in text for text in asked) >= 0.9 * len(asked)
+    assert sum(("diameter" if stated > 1 else "radius") in text for text in asked) >= 0.9 * len(
+        asked
+    )
 
 
 @pytest.mark.slow

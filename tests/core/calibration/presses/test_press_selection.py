@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import HALF, TACTIP, calibrated, presses, references, sensor_of, unloaded
+from support.calibrated_sensor import (
+    HALF,
+    TACTIP,
+    calibrated,
+    presses,
+    references,
+    sensor_of,
+    unloaded,
+)
 from support.observed_presses import PRESSES, SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
@@ -46,7 +54,9 @@ def accurate() -> Network:
 def selected(*changed: KnownPress, network: bool = False) -> Selection:
     """Of the presses, of which the changed ones replace those of their names."""
     table = {press.name: press for press in (*presses(), *changed)}
-    return select_presses(calibrated(count=0), list(table.values()), accurate() if network else None)
+    return select_presses(
+        calibrated(count=0), list(table.values()), accurate() if network else None
+    )
 
 
 def named(lines: tuple[str, ...]) -> list[str]:
@@ -63,16 +73,23 @@ def test_too_few_presses() -> None:
 
 
 @pytest.mark.parametrize("depths_mm", [(0.0, -1.0), (20.0, float("nan"))])
-def test_presses_that_cannot_be_are_all_named_and_the_others_used(depths_mm: tuple[float, float]) -> None:
+def test_presses_that_cannot_be_are_all_named_and_the_others_used(
+    depths_mm: tuple[float, float],
+) -> None:
     first, second, third, fourth, *_ = presses()
-    bad = [replace(p, depth_mm=depth_mm) for p, depth_mm in zip((first, second), depths_mm, strict=True)]
+    bad = [
+        replace(p, depth_mm=depth_mm)
+        for p, depth_mm in zip((first, second), depths_mm, strict=True)
+    ]
     small, black = replace(third, image=third.image[:-2]), replace(fourth, image=fourth.image * 0)
     found = selected(*bad, small, black)
     assert named(found.warnings) == NAMES[:4]
     assert all(line.endswith("; left out") for line in found.warnings)
     assert [press.name for press in found.presses] == NAMES[4:]
     flat = [replace(press, radius_mm=0.0) for press in presses()[4:6]]
-    with pytest.raises(ConfigError, match=r"^6 of 20 presses are unusable; the first one: press 0: ") as refused:
+    with pytest.raises(
+        ConfigError, match=r"^6 of 20 presses are unusable; the first one: press 0: "
+    ) as refused:
         selected(*bad, small, black, *flat)
     assert named(refused.value.others) == NAMES[1:6]
 
@@ -82,8 +99,14 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     apart = max(presses(), key=lambda press: abs((press.x_mm or 0) - (press.y_mm or 0)))
     for wrong, said in (
         (replace(presses()[6], depth_mm=presses()[6].depth_mm + 2.5), "found a depth of "),
-        (replace(deep, radius_mm=2 * deep.radius_mm), f"found a ball of {2 * deep.radius_mm:g} mm, expected about "),
-        (replace(apart, x_mm=apart.y_mm, y_mm=apart.x_mm), f"found x {apart.y_mm:.1f}, y {apart.x_mm:.1f} mm, "),
+        (
+            replace(deep, radius_mm=2 * deep.radius_mm),
+            f"found a ball of {2 * deep.radius_mm:g} mm, expected about ",
+        ),
+        (
+            replace(apart, x_mm=apart.y_mm, y_mm=apart.x_mm),
+            f"found x {apart.y_mm:.1f}, y {apart.x_mm:.1f} mm, ",
+        ),
     ):
         found = selected(wrong, network="depth" not in said)
         (warning,) = found.warnings
@@ -93,8 +116,14 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
 
 
 def test_too_many_that_disagree_are_refused() -> None:
-    far = [replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6)) for k, p in enumerate(presses()) if k % 3]
-    with pytest.raises(ConfigError, match=r"of 20 presses are unusable; the first one: press \d+: found x "):
+    far = [
+        replace(p, x_mm=(p.x_mm or 0) + (6 if k % 2 else -6))
+        for k, p in enumerate(presses())
+        if k % 3
+    ]
+    with pytest.raises(
+        ConfigError, match=r"of 20 presses are unusable; the first one: press \d+: found x "
+    ):
         selected(*far)
 
 
@@ -111,16 +140,22 @@ def test_a_camera_that_moved_or_other_light_at_a_press() -> None:
 
 def test_presses_that_show_no_contact_are_refused() -> None:
     free = [replace(press, image=unloaded(noise_seed=60 + k)) for k, press in enumerate(presses())]
-    with pytest.raises(ConfigError, match=r"^20 of 20 presses are unusable; the first one: press 0: .*no contact"):
+    with pytest.raises(
+        ConfigError, match=r"^20 of 20 presses are unusable; the first one: press 0: .*no contact"
+    ):
         selected(*free)
 
 
-def fitted(name: str, count: int = 14, **changed: float) -> tuple[SensorModel, list[U8], list[KnownPress]]:
+def fitted(
+    name: str, count: int = 14, **changed: float
+) -> tuple[SensorModel, list[U8], list[KnownPress]]:
     """A simulated sensor, its references and true presses."""
     sensor = sensor_name(name).make()
     sensor = type(sensor)(replace(sensor.model, **changed))  # type: ignore[call-arg, arg-type]
     table = [
-        KnownPress(f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}", sensor.frame((p,), 100 + k).image, radius_mm, p.depth_mm, p.x_mm, p.y_mm
+        )
         for k, (p, radius_mm) in enumerate(ball_presses(sensor.model, count, 3))
     ]
     return sensor.model, [sensor.frame((), k).image for k in range(3)], table
@@ -132,7 +167,10 @@ def with_networks(model: SensorModel, free: list[U8], table: list[KnownPress]) -
 
 def test_a_true_table_is_not_refused() -> None:
     assert selected(network=True).warnings == ()
-    assert len(selected(*(replace(p, x_mm=None, y_mm=None) for p in presses()), network=True).presses) == 20
+    assert (
+        len(selected(*(replace(p, x_mm=None, y_mm=None) for p in presses()), network=True).presses)
+        == 20
+    )
     model, free, table = fitted("other:31")
     assert with_networks(model, free, table).calibration.factors
     with pytest.raises(ConfigError, match=r"are they diameters\?"):
@@ -145,18 +183,27 @@ def test_a_fine_lattice_keeps_its_right_presses() -> None:
     assert not any(": found x " in warning for warning in warnings)
 
 
-@pytest.mark.parametrize(("factor", "placed", "said"), [(2.0, True, "a diameter"), (0.5, False, "half of the radius")])
+@pytest.mark.parametrize(
+    ("factor", "placed", "said"), [(2.0, True, "a diameter"), (0.5, False, "half of the radius")]
+)
 def test_a_skin_radius_off_by_two_is_named(factor: float, placed: bool, said: str) -> None:
     table = presses() if placed else [replace(p, x_mm=None, y_mm=None) for p in presses()]
     wrong = replace(HALF, skin_radius_mm=factor * HALF.skin_radius_mm)
-    with pytest.raises(ConfigError, match=rf"SENSOR.yaml: skin_radius_mm: found \S+, .* is it {said}\? expected about"):
+    with pytest.raises(
+        ConfigError,
+        match=rf"SENSOR.yaml: skin_radius_mm: found \S+, .* is it {said}\? expected about",
+    ):
         with_networks(wrong, list(references()), list(table))
 
 
-@pytest.mark.parametrize(("model", "wrong", "right"), [(HALF, "dark", "bright"), (TACTIP, "bright", "dark")])
+@pytest.mark.parametrize(
+    ("model", "wrong", "right"), [(HALF, "dark", "bright"), (TACTIP, "bright", "dark")]
+)
 def test_a_wrong_polarity_is_named(model: SensorModel, wrong: Polarity, right: str) -> None:
     unloaded = replace(calibrated(model, 0), polarity=wrong)
-    with pytest.raises(ConfigError, match=f"SENSOR.yaml: polarity: found {wrong}, expected {right}: the places"):
+    with pytest.raises(
+        ConfigError, match=f"SENSOR.yaml: polarity: found {wrong}, expected {right}: the places"
+    ):
         select_presses(unloaded, presses(model))
     assert select_presses(unloaded, presses(model), polarity_stated=False).polarity == right
     (warning,) = calibrate(replace(sensor_of(model), polarity=wrong), references(model)).warnings
@@ -166,7 +213,9 @@ def test_a_wrong_polarity_is_named(model: SensorModel, wrong: Polarity, right: s
 @pytest.mark.parametrize("name", ["3", "other:4", "other:31", "square:5"])
 def test_no_reference_of_another_print_shows_white_pins(name: str) -> None:
     sensor = sensor_name(name).make()
-    unstated = replace(sensor_of(sensor.model), polarity=None, visible_circle=sensor.model.geometry.disc)
+    unstated = replace(
+        sensor_of(sensor.model), polarity=None, visible_circle=sensor.model.geometry.disc
+    )
     assert calibrate(unstated, [sensor.frame((), 0).image]).calibration.polarity == "bright"
 
 
@@ -187,7 +236,10 @@ def test_true_depths_agree_and_false_ones_do_not(seed: int) -> None:
     scale = skin_scale(geometry)
     assert agreement_mae_mm(presses, geometry) < 0.25 * scale
     off = 0.6 * scale * np.random.default_rng(seed).choice([-1, 1], len(presses))
-    false = [replace(o, depth_mm=max(o.depth_mm + float(e), 0.2)) for o, e in zip(presses, off, strict=True)]
+    false = [
+        replace(o, depth_mm=max(o.depth_mm + float(e), 0.2))
+        for o, e in zip(presses, off, strict=True)
+    ]
     assert agreement_mae_mm(false, geometry) > 0.25 * scale
 
 
@@ -198,7 +250,9 @@ def test_one_false_depth_does_not_move_the_others(seed: int) -> None:
     before, _ = leave_one_out(presses, geometry)
     k = int(np.argmax([o.depth_mm for o in presses]))
     offset_mm = 3.0 * skin_scale(geometry)
-    false = [replace(o, depth_mm=o.depth_mm + offset_mm) if i == k else o for i, o in enumerate(presses)]
+    false = [
+        replace(o, depth_mm=o.depth_mm + offset_mm) if i == k else o for i, o in enumerate(presses)
+    ]
     after, _ = leave_one_out(false, geometry)
     others = np.arange(len(presses)) != k
     assert np.abs(after - before)[others].mean() < 0.1 * skin_scale(geometry)
@@ -209,7 +263,10 @@ def test_one_false_depth_does_not_move_the_others(seed: int) -> None:
 @given(
     st.lists(
         st.tuples(
-            *(st.floats(*range_) for range_ in ((1e-3, 200), (0.1, 200), (0.1, 1000), (-20, 20), (-20, 20))),
+            *(
+                st.floats(*range_)
+                for range_ in ((1e-3, 200), (0.1, 200), (0.1, 1000), (-20, 20), (-20, 20))
+            ),
             *(st.floats(*range_) for range_ in ((0.01, 1000), (1e-4, 19.9))),
         ),
         min_size=1,
@@ -217,7 +274,10 @@ def test_one_false_depth_does_not_move_the_others(seed: int) -> None:
     )
 )
 def test_any_presses_have_an_error(numbers: list[tuple[float, ...]]) -> None:
-    presses = [PressObservation(str(k), *values, values[3] * 3, -values[4]) for k, values in enumerate(numbers)]
+    presses = [
+        PressObservation(str(k), *values, values[3] * 3, -values[4])
+        for k, values in enumerate(numbers)
+    ]
     error_mm, deviations = leave_one_out(presses, GEOMETRY)
     assert np.isfinite(error_mm).all()
     assert (deviations >= 0).all()
@@ -289,5 +349,8 @@ def test_presses_without_a_place_are_judged_where_they_are_located() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_of_few_presses_none_is_called_wrong(count: int) -> None:
     presses, geometry = observed(SEEDS[0])
-    false = [replace(o, depth_mm=float(d)) for o, d in zip(presses[:count], np.linspace(0.1, 9, count), strict=True)]
+    false = [
+        replace(o, depth_mm=float(d))
+        for o, d in zip(presses[:count], np.linspace(0.1, 9, count), strict=True)
+    ]
     assert len(outliers(false, geometry)) <= max(count - 2, 0)

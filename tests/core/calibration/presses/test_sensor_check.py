@@ -20,7 +20,9 @@ def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) 
     wrong = replace(stated, **{key: factor * getattr(stated, key)}) if key else stated
     unloaded = calibrate(wrong, references()).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
-    return wrong_keys([check.see(check.observe(one), one) for one in table or presses()], unloaded.geometry)
+    return wrong_keys(
+        [check.see(check.observe(one), one) for one in table or presses()], unloaded.geometry
+    )
 
 
 @pytest.mark.slow
@@ -40,7 +42,10 @@ def test_a_wrong_key_is_among_those_that_the_presses_name(key: str, factor: floa
 
 @pytest.mark.slow
 def test_a_few_mistaken_presses_hide_no_wrong_key() -> None:
-    mistaken = [replace(one, depth_mm=one.depth_mm * (2 if k % 10 == 0 else 1)) for k, one in enumerate(presses())]
+    mistaken = [
+        replace(one, depth_mm=one.depth_mm * (2 if k % 10 == 0 else 1))
+        for k, one in enumerate(presses())
+    ]
     assert "camera_distance_mm: found " in found("camera_distance_mm", 0.5, mistaken)
 
 

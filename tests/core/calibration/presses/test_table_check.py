@@ -19,7 +19,11 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.observation import PressObservation
 from tacshade_edge.core.calibration.presses.press_check import PressCheck
-from tacshade_edge.core.calibration.presses.table_check import gross_mistakes, size_mistake, zero_hint
+from tacshade_edge.core.calibration.presses.table_check import (
+    gross_mistakes,
+    size_mistake,
+    zero_hint,
+)
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
 from tacshade_edge.simulator.script import ball_presses
@@ -35,12 +39,18 @@ Change = Callable[[PressObservation], PressObservation]
         (1.1, 0.53, "are they diameters?"),
         (0.82, 0.53, "are they diameters?"),  # with a network that finds depths too small
         (0.7, 0.68, ""),  # depths too great by a constant
-        (1.0, 0.79, ""),  # good tables of a skin of 12 mm, and of a stiff skin on a soft gel (the third family)
+        (
+            1.0,
+            0.79,
+            "",
+        ),  # good tables of a skin of 12 mm, and of a stiff skin on a soft gel (the third family)
         (1.0, 2.1, "are they halved?"),
         (1.0, math.nan, ""),
     ],
 )
-def test_balls_that_look_smaller_are_diameters_where_depths_do_not(depth: float, ball: float, said: str) -> None:
+def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
+    depth: float, ball: float, said: str
+) -> None:
     found = size_mistake(depth, ball, (), GEOMETRY)
     assert said in found
     assert bool(said) == bool(found)
@@ -105,7 +115,10 @@ def test_axes_are_judged_without_a_network_too(seed: int) -> None:
 def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:
     """What a network that is off by 7 % and 0.15 mm finds of balls."""
     rng = np.random.default_rng(seed)
-    balls = [stated_ball(20.0, p.x_mm, p.y_mm, p.depth_mm, radius) for p, radius in ball_presses(FULL, count, seed)]
+    balls = [
+        stated_ball(20.0, p.x_mm, p.y_mm, p.depth_mm, radius)
+        for p, radius in ball_presses(FULL, count, seed)
+    ]
     return [0.93 * b.depth_max_mm(20.0) + 0.15 * float(rng.standard_normal()) for b in balls], balls
 
 
@@ -118,7 +131,9 @@ def test_a_constant_offset_is_measured(off_mm: float) -> None:
     found_mm, balls = set_of(24, 1)
     assert zero_hint(found_mm, balls, GEOMETRY) == ""
     hint = zero_hint(found_mm, [lower(ball, off_mm) for ball in balls], GEOMETRY)
-    change = hint.removeprefix("the depths fit better if all are ").removesuffix(": check where depth is zero")
+    change = hint.removeprefix("the depths fit better if all are ").removesuffix(
+        ": check where depth is zero"
+    )
     size, unit, direction = change.split(" ")
     assert (unit, direction) == ("mm", "less" if off_mm > 0 else "more")
     assert float(size) == pytest.approx(0.8, abs=0.25)
@@ -130,13 +145,22 @@ def test_what_says_nothing_has_no_hint() -> None:
     assert zero_hint(found_mm, off, GEOMETRY) != ""
     assert zero_hint(found_mm[:11], off[:11], GEOMETRY) == ""  # too few
     assert zero_hint([2.0] * 24, off, GEOMETRY) == ""
-    assert zero_hint([0.5 * h for h in found_mm], off, GEOMETRY) == ""  # no sensor of the network's kind
+    assert (
+        zero_hint([0.5 * h for h in found_mm], off, GEOMETRY) == ""
+    )  # no sensor of the network's kind
 
 
 @pytest.fixture(scope="module")
 def presses() -> list[KnownPress]:
     return [
-        KnownPress(f"press {k}", simulated(FULL).frame((p,), 300 + k).image, radius, p.depth_mm, p.x_mm, p.y_mm)
+        KnownPress(
+            f"press {k}",
+            simulated(FULL).frame((p,), 300 + k).image,
+            radius,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
         for k, (p, radius) in enumerate(ball_presses(FULL, 24, 3))
     ]
 
@@ -152,24 +176,35 @@ def warnings_of(table: list[KnownPress]) -> tuple[str, ...]:
 
 
 def less_first_touch(press: KnownPress) -> float:
-    return -Ball(press.x_mm or 0, press.y_mm or 0, 0, press.radius_mm).first_touch_mm(FULL.skin_radius_mm)
+    return -Ball(press.x_mm or 0, press.y_mm or 0, 0, press.radius_mm).first_touch_mm(
+        FULL.skin_radius_mm
+    )
 
 
 @pytest.mark.slow
 def test_a_simulated_sensor(presses: list[KnownPress]) -> None:
-    hints = [warning for warning in warnings_of(stated_as(presses, lambda _: 0.7)) if "fit better" in warning]
+    hints = [
+        warning
+        for warning in warnings_of(stated_as(presses, lambda _: 0.7))
+        if "fit better" in warning
+    ]
     assert "mm less: check where depth is zero" in " ".join(hints)
 
 
 @pytest.mark.slow
-def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(presses: list[KnownPress]) -> None:
+def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
+    presses: list[KnownPress],
+) -> None:
     table = stated_as(presses, less_first_touch)
     with pytest.raises(
-        ConfigError, match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch,"
+        ConfigError,
+        match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch,",
     ):
         warnings_of(table)
     read = [from_travel(press, FULL.skin_radius_mm) for press in table]
-    assert [press.depth_mm for press in read] == pytest.approx([press.depth_mm for press in presses])
+    assert [press.depth_mm for press in read] == pytest.approx(
+        [press.depth_mm for press in presses]
+    )
     assert warnings_of(read) == ()
 
 

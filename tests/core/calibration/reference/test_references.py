@@ -61,7 +61,9 @@ def test_light_at_the_rim_is_no_load() -> None:
     """LED rings make the skin next to them brighter: its profile rises by itself over the last two of twelve rings."""
     sensor = OtherSensor(other_model(33))
     calibrate(sensor_of(sensor.model), [sensor.frame((), 5).image])  # not refused
-    pressed = sensor.frame((Press(OBJECTS["ball"](), 0.0, 0.0, 3.0, 0.0, skin_scale(sensor.model.geometry)),), 5).image
+    pressed = sensor.frame(
+        (Press(OBJECTS["ball"](), 0.0, 0.0, 3.0, 0.0, skin_scale(sensor.model.geometry)),), 5
+    ).image
     with pytest.raises(ConfigError, match="seems pressed"):
         calibrate(sensor_of(sensor.model), [pressed])
 
@@ -92,16 +94,21 @@ def test_noise_is_measured_from_enough_references() -> None:
 
 def test_references_that_differ_from_each_other() -> None:
     others = list(references()[1:])
-    (warning,) = calibrate(SENSOR, [camera_faults.shift(references()[0], 0, 1), *others[:3]]).warnings[:1]
+    (warning,) = calibrate(
+        SENSOR, [camera_faults.shift(references()[0], 0, 1), *others[:3]]
+    ).warnings[:1]
     assert warning == "reference 2: the image moved by 1.0 px compared with reference 1"
     with pytest.raises(
-        ConfigError, match=r"reference 3: the image moved by 5\.0 px since reference 1; fasten the camera"
+        ConfigError,
+        match=r"reference 3: the image moved by 5\.0 px since reference 1; fasten the camera",
     ):
         calibrate(SENSOR, [*others[:2], camera_faults.shift(others[2], 0, 5)])
     one_loaded = [*others, simulated(HALF).frame((Press(ball(6.0), 3, 2, 1.5),), 9).image]
     with pytest.raises(ConfigError, match="seems pressed in reference 5"):
         calibrate(SENSOR, one_loaded)
-    assert any("seems pressed" in warning for warning in calibrate(SENSOR, one_loaded, (), True).warnings)
+    assert any(
+        "seems pressed" in warning for warning in calibrate(SENSOR, one_loaded, (), True).warnings
+    )
 
 
 def test_a_new_reference_keeps_everything_else() -> None:
@@ -113,7 +120,9 @@ def test_a_new_reference_keeps_everything_else() -> None:
         assert getattr(renewed, name) == getattr(calibrated(), name)
     assert renewed.factors == calibrated().factors
     image = pressed("ball", 3.0).image
-    found = make_reconstructor(renewed, PROFILES["fast"]).step(Frame(0, 0, 0, camera_faults.gain(image, 0.8)))
+    found = make_reconstructor(renewed, PROFILES["fast"]).step(
+        Frame(0, 0, 0, camera_faults.gain(image, 0.8))
+    )
     assert found.depth_max_mm == pytest.approx(step("fast", image).depth_max_mm, rel=0.1)
 
 
@@ -124,8 +133,14 @@ def test_a_new_reference_keeps_everything_else() -> None:
         ([unloaded() * 0], "rejected the reference: black"),
         ([unloaded(), unloaded()[:-1]], "rejected the reference: size"),
         (loaded(3.0, 6.0), "rejected the reference: .*seems pressed"),
-        ([camera_faults.shift(unloaded(), 0, 4)] * 3, "rejected the reference: the camera has moved by 4.0 px"),
-        ([bad_pictures.defocus(unloaded(), 2.5)] * 3, "found 0.* times the old reference's contrast"),
+        (
+            [camera_faults.shift(unloaded(), 0, 4)] * 3,
+            "rejected the reference: the camera has moved by 4.0 px",
+        ),
+        (
+            [bad_pictures.defocus(unloaded(), 2.5)] * 3,
+            "found 0.* times the old reference's contrast",
+        ),
     ],
     ids=["none", "black", "size", "load", "moved", "blurred"],
 )
@@ -147,8 +162,13 @@ def test_a_reference_under_load_is_refused_or_allowed(x_mm: float) -> None:
 
 
 def blocks(depths_mm: list[float], seed: int) -> list[F32]:
-    presses = [(Press(ball(4.0), 5.0, 2.0, depth_mm),) if depth_mm else () for depth_mm in depths_mm]
-    return [block_means(to_grey(simulated(HALF).frame(press, seed + k).image)) for k, press in enumerate(presses)]
+    presses = [
+        (Press(ball(4.0), 5.0, 2.0, depth_mm),) if depth_mm else () for depth_mm in depths_mm
+    ]
+    return [
+        block_means(to_grey(simulated(HALF).frame(press, seed + k).image))
+        for k, press in enumerate(presses)
+    ]
 
 
 def test_a_held_press_stands_still_and_a_moved_one_does_not() -> None:
@@ -178,12 +198,16 @@ def patch_grey(old: Calibration, new: Calibration) -> float:
     return g_change(Preprocessor(old, PROFILE), Preprocessor(new, PROFILE))[1]
 
 
-def follow_slowly(change: Callable[[U8, float], U8], steps: int = 12) -> tuple[Calibration, Followed]:
+def follow_slowly(
+    change: Callable[[U8, float], U8], steps: int = 12
+) -> tuple[Calibration, Followed]:
     """The reference that was followed while `change` went from 0 to 1, and the last look."""
     origin = current = calibrated(count=0)
     looked = Followed(None, None, None)
     for k in range(1, steps + 1):
-        looked = follow(origin, current, [change(image, k / steps) for image in rest(50 + IMAGES * k)])
+        looked = follow(
+            origin, current, [change(image, k / steps) for image in rest(50 + IMAGES * k)]
+        )
         current = looked.calibration or current
     return current, looked
 
@@ -213,7 +237,11 @@ def test_slow_change_is_followed(change: Callable[[U8, float], U8]) -> None:
     assert patch_grey(current, then) < 3
     levels = [float(np.mean(to_grey(np.asarray(c.reference_grey)))) for c in (current, then)]
     assert levels[0] == pytest.approx(levels[1], rel=0.02)
-    assert (current.noise_grey, current.geometry, current.fit) == (origin.noise_grey, origin.geometry, origin.fit)
+    assert (current.noise_grey, current.geometry, current.fit) == (
+        origin.noise_grey,
+        origin.geometry,
+        origin.fit,
+    )
 
 
 def faded(image: U8, part: float) -> U8:
@@ -229,7 +257,9 @@ def faded(image: U8, part: float) -> U8:
 
 def moving(image: U8, part: float) -> U8:
     matrix = np.array(((1.0, 0.0, 2.0 * part), (0.0, 1.0, 0.0)))
-    return np.asarray(cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 @pytest.mark.parametrize(
@@ -238,7 +268,10 @@ def moving(image: U8, part: float) -> U8:
         (faded, {ReasonCode.PATCH_CHANGED}),
         (lambda image, part: bad_pictures.defocus(image, 0.1 + 2 * part), {ReasonCode.LIGHT_DRIFT}),
         (moving, {ReasonCode.CAMERA_SHIFT, ReasonCode.PATCH_CHANGED}),
-        (lambda image, part: camera_faults.uneven(image, *DISC, 0.6 * part, 0), {ReasonCode.LIGHT_DRIFT}),
+        (
+            lambda image, part: camera_faults.uneven(image, *DISC, 0.6 * part, 0),
+            {ReasonCode.LIGHT_DRIFT},
+        ),
     ],
     ids=["a marker fades", "blurs", "the camera moves", "a lamp dies"],
 )
@@ -300,7 +333,10 @@ def test_what_cannot_be_compared_is_not_followed() -> None:
 def test_every_bound_is_stated_and_kept() -> None:
     disc = calibrated(count=0).geometry.disc
     stated, still = bounds(disc), Drift(still_part=1.0)
-    over = {name: (0.99 if name in ("light_low", "contrast") else 1.01) * bound for name, bound in stated.items()}
+    over = {
+        name: (0.99 if name in ("light_low", "contrast") else 1.01) * bound
+        for name, bound in stated.items()
+    }
     assert beyond(Distance(still, 0.0, 0.0), disc) is None
     assert beyond(Distance(replace(still, row_px=over.pop("shift_px")), 0.0, 0.0), disc)
     assert beyond(Distance(still, -over.pop("common_grey"), 0.0), disc)
