@@ -40,6 +40,9 @@ PROFILES: dict[str, Profile] = {
     )
 }
 
+# `paper` with the height of eq. 10's g_hn itself: what eq. 11 adds shows beside it.
+PAPER_WITHOUT_EQ_11 = replace(PROFILES["paper"], name="paper without eq. 11", solver="shape_grey")
+
 GATE = replace(
     _LEARNED, name="gate", network=None, halved=True
 )  # of the pictures that gate and judges see

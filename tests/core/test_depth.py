@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,21 +12,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from support.calibrated_sensor import HALF, calibrated, unloaded
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.networks import answering
 
-from tacshade_edge.core.depth import Depth, hybrid_sfs
+from tacshade_edge.core.depth import Depth, hybrid_sfs, with_own_ratio
 from tacshade_edge.core.depth.hybrid_sfs import hybrid_sfs as iterate
 from tacshade_edge.core.depth.learned import KNOWN, LearnedInverse, LearnedSolver, fold, unfold
 from tacshade_edge.core.depth.sigma import TERMS, SigmaModel, sigma_of_scale_1, terms
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc_map import REACH
 from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.types import F32, F64, Bool, Disc, Geometry
+from tacshade_edge.core.profiles import PAPER_WITHOUT_EQ_11, PROFILES, Profile
+from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.types import F32, F64, Bool, Disc, Frame, Geometry
 
 ALPHA_MM = 3.0
-METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {"paper": hybrid_sfs.hybrid_depth}
+METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {
+    "paper": hybrid_sfs.hybrid_depth,
+    "without eq. 11": partial(hybrid_sfs.hybrid_depth, unit_height=hybrid_sfs.unit_by_grey),
+}
 """From grey maps to depth: with eq. 11 and without."""
 
 
@@ -51,6 +56,27 @@ def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
     assert depth.repaired_px == 1
     # One bad cell far from the contact does not take the contact away.
     assert depth.height_mm.max() == pytest.approx(unharmed.height_mm.max(), rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", [PROFILES["paper"], PAPER_WITHOUT_EQ_11])
+def test_a_press_of_known_depth_is_as_deep_with_its_own_ratio(profile: Profile) -> None:
+    """α of one press: "the ratio between the ground-truth contact depth and the maximum estimated depth"."""
+    press = pressed("ball", 3.0)
+    depth_mm = float(np.nanmax(press.truth().height_mm))
+    made = Reconstructor(with_own_ratio(calibrated(HALF, 0), depth_mm), profile)
+    result = made.step(Frame(0, 0, 0, press.image))
+    assert result.contact
+    assert result.profile == profile.name
+    assert result.depth_max_mm == pytest.approx(depth_mm, rel=1e-6)
+
+
+def test_without_eq_11_the_height_is_the_grey_image() -> None:
+    g_d = bump()
+    found = solve("without eq. 11", g_d).height_mm
+    np.testing.assert_allclose(
+        found, ALPHA_MM * (g_d - g_d.min()) / (g_d.max() - g_d.min()), atol=1e-6
+    )
 
 
 def test_the_iteration_is_the_literal_one() -> None:

@@ -5,16 +5,18 @@ last, ``depth``, which the caller marks. `shear_mm` is (rows, cols, 2), finite, 
 """
 
 from collections.abc import Callable
+from functools import partial
 
 from tacshade_edge.core.depth.base import Depth, Network
-from tacshade_edge.core.depth.hybrid_sfs import HybridSfs
+from tacshade_edge.core.depth.hybrid_sfs import HybridSfs, unit_by_grey, with_own_ratio
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import SigmaModel
 from tacshade_edge.core.image.preprocess import Preprocessor
 
 SOLVERS: dict[str, Callable[[Preprocessor, Network | None], HybridSfs | LearnedSolver]] = {
     "hybrid_sfs": HybridSfs,
+    "shape_grey": partial(HybridSfs, unit_height=unit_by_grey),
     "learned": LearnedSolver,
 }
 
-__all__ = ["SOLVERS", "Depth", "Network", "SigmaModel"]
+__all__ = ["SOLVERS", "Depth", "Network", "SigmaModel", "with_own_ratio"]

@@ -5,13 +5,16 @@ A fidelity reference, not a good method: its result is a scaled copy of the grey
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from tacshade_edge.core.depth.base import Depth, Features, Mark, Network
 from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessed, Preprocessor
-from tacshade_edge.types import F32, F64
+from tacshade_edge.types import F32, F64, Calibration
 
 ITERATIONS = 25
 EPS = 2.2e-16
@@ -69,12 +72,28 @@ def _iterate(image: C128) -> C128:
     return z
 
 
-def hybrid_depth(maps: GreyMaps, alpha_mm: float) -> Depth:
+UnitHeight = Callable[[F32], tuple[F64, int]]
+"""From g_hn to heights of arbitrary scale, with the number of values repaired."""
+
+
+def unit_by_eq_11(g_hn: F32) -> tuple[F64, int]:
+    """Eq. 11's |Z|, in pixels of arbitrary scale."""
+    # The iteration turns an image without contrast into a constant, which is not a height.
+    if not g_hn.any():
+        return g_hn.astype(np.float64), 0
+    return hybrid_sfs(g_hn.astype(np.float64))
+
+
+def unit_by_grey(g_hn: F32) -> tuple[F64, int]:
+    """g_hn itself, as if eq. 11 were left out."""
+    return g_hn.astype(np.float64), 0
+
+
+def hybrid_depth(maps: GreyMaps, alpha_mm: float, unit_height: UnitHeight = unit_by_eq_11) -> Depth:
     """The paper's height: g_hn (eq. 10), eq. 11, then α, the depth for a normalised height of 1."""
     g_hn, bad = finite_shape_grey(maps)
-    z, repaired = hybrid_sfs(g_hn.astype(np.float64))
-    # The iteration turns an image without contrast into a constant, which is not a height.
-    z = np.where(maps.inside, z, 0.0) if g_hn.any() else np.zeros_like(z)
+    z, repaired = unit_height(g_hn)
+    z = np.where(maps.inside, z, 0.0)
     top = float(z.max(initial=0.0))
     return scaled(z / top if top > 0 else z, alpha_mm, repaired + bad)
 
@@ -95,10 +114,23 @@ def scaled(unit: F64, alpha_mm: float, repaired_px: int) -> Depth:
     return Depth(height_mm=height, repaired_px=repaired_px)
 
 
+def with_own_ratio(calibration: Calibration, depth_mm: float) -> Calibration:
+    """The calibration with the α of one press, "the ratio between the ground-truth contact depth and the maximum
+    estimated depth" (section IV-C): its greatest height becomes `depth_mm`.
+    """
+    return replace(calibration, alpha=depth_mm / calibration.geometry.mm_per_px)
+
+
 class HybridSfs:
     """Solves by denoising, eq. 9, and `hybrid_depth`, without a network."""
 
-    def __init__(self, preprocessor: Preprocessor, network: Network | None = None) -> None:
+    def __init__(
+        self,
+        preprocessor: Preprocessor,
+        network: Network | None = None,
+        unit_height: UnitHeight = unit_by_eq_11,
+    ) -> None:
+        self._unit_height = unit_height
         self.grid = preprocessor.camera_grid
         self._grey_mapper = GreyMapper(preprocessor)
         # α is per pixel of the image (the paper ties it to the image's resolution).
@@ -109,7 +141,7 @@ class HybridSfs:
     ) -> Depth:
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
-        return hybrid_depth(maps, self._alpha_mm)
+        return hybrid_depth(maps, self._alpha_mm, self._unit_height)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
         """The paper has no shear."""
