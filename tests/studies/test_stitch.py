@@ -20,7 +20,7 @@ from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.pad import Arc, Bar, Pad
 from tacshade_edge.studies.stitch import presses as contact_frames
 from tacshade_edge.studies.stitch.presses import Press, frames_of_presses, read_contact_frames
-from tacshade_edge.studies.stitch.truth import radius_average, read_known, score
+from tacshade_edge.studies.stitch.truth import read_known, score
 from tacshade_edge.types import Pose
 
 POINTS = PressPoints(
@@ -192,16 +192,3 @@ def test_a_damaged_and_a_missing_file(tmp_path: Path) -> None:
     for name, why in (("bad.npz", "not a known surface"), ("none.npz", "No such file")):
         with pytest.raises(ConfigError, match=f"{name}: .*{why}"):
             read_known(tmp_path / name)
-
-
-def test_each_height_is_the_mean_of_those_in_the_radius() -> None:
-    # Three in a row, 0.8 mm apart: the middle one sees both others, the outer ones only it.
-    points = np.array(((0.0, 0.0, 1.0), (0.8, 0.0, 2.0), (1.6, 0.0, 6.0), (520.0, 0.0, 9.0)))
-    raster = radius_average(points, step_mm=0.4, radius_mm=1.0)
-    found = {round(x, 1): z for x, _, z in raster.points()}
-    assert found == {
-        0.0: pytest.approx(1.5),
-        0.8: pytest.approx(3.0),
-        1.6: pytest.approx(4.0),
-        520.0: pytest.approx(9.0),
-    }

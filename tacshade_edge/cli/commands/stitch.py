@@ -14,7 +14,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.flange import ContactFrame, delay_seen, find_flange, unseen
 from tacshade_edge.core.stitching.refinement import correction
-from tacshade_edge.core.stitching.stitcher import STEP_MM, StitchedMap
+from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
 from tacshade_edge.reasons import text_of
@@ -24,15 +24,16 @@ from tacshade_edge.storage.stitching.map_files import FLANGE, press_record, writ
 from tacshade_edge.storage.tables.frame_table import read_poses
 from tacshade_edge.studies.stitch.presses import (
     Press,
-    all_points,
+    averaged,
     frames_of_presses,
     read_contact_frames,
     read_presses,
     read_recording,
     stitcher_of,
 )
-from tacshade_edge.studies.stitch.truth import comparison_png, radius_average, read_known, score
+from tacshade_edge.studies.stitch.truth import comparison_png, read_known, score
 
+TILES, MEAN = "tiles", "mean"
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0
 """Largest plausible distance and rotation from the start; a pose found farther away is wrong."""
@@ -59,6 +60,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser, "--truth", "PAD.npz", "score the map against this known surface and draw both"
     )
+    parser.add_argument(
+        "--fusion",
+        choices=(TILES, MEAN),
+        default=TILES,
+        help="tiles: refine poses, weigh points (default); mean: the paper's average of all points",
+    )
     add_flag(
         parser,
         "--find-flange",
@@ -71,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
     """Stitch; map.json lists unusable presses, and stderr also lists unreadable images, for which it returns 1."""
     if args.find_flange and args.truth is not None:
         raise ConfigError("--truth: found --find-flange as well, expected only one of the two")
+    if args.find_flange and args.fusion != TILES:
+        raise ConfigError("--fusion: found --find-flange as well, which makes no map")
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
@@ -99,33 +108,35 @@ def run(args: argparse.Namespace) -> int:
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
         raise ConfigError(f"{where}: found no usable press: {why}")
-    finished = stitcher.finish()
-    about, more = {"profile": args.profile, **_details(presses, finished)}, {}
+    pictures = {}
+    finished = averaged(presses) if args.fusion == MEAN else stitcher.finish()
+    about = {"profile": args.profile, "fusion": args.fusion, **_details(presses, finished)}
     if known is not None:
-        average = radius_average(all_points(presses), STEP_MM)
+        average = finished if args.fusion == MEAN else averaged(presses)
         about["score"] = score(finished.raster, known).as_json()
-        about["paper"] = score(average, known).as_json()
+        about["paper"] = score(average.raster, known).as_json()
         if finished.refined:
             about["unrefined"] = score(stitcher.finish(None).raster, known).as_json()
-        more["comparison.png"] = comparison_png(known, finished.raster, average)
-    write_map(args.out, finished.raster, about, more)
+        pictures["comparison.png"] = comparison_png(known, finished.raster, average.raster)
+    write_map(args.out, finished.raster, about, pictures)
     if args.json:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
-        how = (
-            f"refined (they disagreed by {about['disagreement_mm']:.2f} mm)"
-            if about["refined"]
-            else "exact"
-        )
-        print(f"{args.out}: {about['used']} of {len(about['presses'])} presses, poses {how}")
-        for name, key in (
-            ("map", "score"),
-            ("not refined", "unrefined"),
-            ("paper's average", "paper"),
-        ):
-            if key in about:
-                print(f"  {name}: {_line(about[key])}")
+        _print(args.out, about)
     return 1 if failed else 0
+
+
+def _print(out: Path, about: dict[str, Any]) -> None:
+    disagreement = f"{about['disagreement_mm']:.2f} mm"
+    how = f"refined (they disagreed by {disagreement})" if about["refined"] else "exact"
+    print(f"{out}: {about['used']} of {len(about['presses'])} presses, poses {how}")
+    for name, key in (
+        ("map", "score"),
+        ("not refined", "unrefined"),
+        ("paper's average", "paper"),
+    ):
+        if key in about:
+            print(f"  {name}: {_line(about[key])}")
 
 
 def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.stitching.average import radius_average
 from tacshade_edge.core.stitching.flange import ContactFrame
 from tacshade_edge.core.stitching.press_points import (
     GAP_MAX_NS,
@@ -17,7 +18,7 @@ from tacshade_edge.core.stitching.press_points import (
     press_points,
 )
 from tacshade_edge.core.stitching.refinement import correction, thin_points
-from tacshade_edge.core.stitching.stitcher import Stitcher
+from tacshade_edge.core.stitching.stitcher import PlacedPress, StitchedMap, Stitcher
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -27,8 +28,6 @@ from tacshade_edge.storage.recording.recording import Recording
 from tacshade_edge.storage.tables.frame_table import PosedImage
 from tacshade_edge.types import F64, Calibration, Frame, Pose
 
-AVERAGED_POINTS = 500
-"""The paper's average visits every pair in its radius: ten times the points need a hundred times the memory."""
 _NO_CONTACT = Reason(ReasonCode.NO_CONTACT, "no contact")
 
 
@@ -128,14 +127,19 @@ def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
     return stitcher
 
 
-def all_points(presses: Sequence[Press]) -> F64:
-    """Points (N, 3) in mm of all presses at the reported poses; evenly thinned to `AVERAGED_POINTS` of each."""
-    parts = []
-    for press in presses:
-        if not press.skipped:
-            every = -(-len(press.points.points_mm) // AVERAGED_POINTS)
-            parts.append(press.base_T_sensor.apply(press.points.points_mm[::every]))
-    return np.concatenate(parts)
+def averaged(presses: Sequence[Press]) -> StitchedMap:
+    """The paper's map (section V-B): the points of all presses at the reported poses, averaged within a radius.
+
+    Raises ConfigError if the map is too large.
+    """
+    used = [press for press in presses if not press.skipped]
+    points_mm = [press.base_T_sensor.apply(press.points.points_mm) for press in used]
+    placed = [
+        PlacedPress(press.base_T_sensor, 0.0, 0.0, None, len(press.points.points_mm))
+        for press in used
+    ]
+    raster = radius_average(np.concatenate(points_mm))
+    return StitchedMap(raster, tuple(placed), disagreement_mm=0.0, refined=False)
 
 
 PRESSES_MAX = 200

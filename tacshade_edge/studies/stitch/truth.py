@@ -9,9 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
-from tacshade_edge.core.stitching.stitcher import Raster, SurfaceMap
+from tacshade_edge.core.stitching.stitcher import Raster
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.storage.npz import numbers, read_arrays
 from tacshade_edge.storage.pictures import BAR_WIDTH_PX, Axis, framed
@@ -112,31 +111,6 @@ def at_cells_of(values: Raster, places: Raster) -> F32:
 
 def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-_BLOCK_MM = 100.0
-RADIUS_MM = 1.0
-"""Radius of the average; the paper only states "a designated range"."""
-
-
-def radius_average(points_mm: F64, step_mm: float, radius_mm: float = RADIUS_MM) -> Raster:
-    """Average heights of points (N, 3) within a radius in the x, y plane, then in cells of a raster.
-
-    This is the paper's fusion (section V-B), which pools the points of all presses with equal weights.
-    """
-    pairs = cKDTree(points_mm[:, :2]).query_pairs(radius_mm, output_type="ndarray")
-    count = np.bincount(pairs.ravel(), minlength=len(points_mm)) + 1
-    total = points_mm[:, 2].copy()
-    for one, other in ((0, 1), (1, 0)):
-        total += np.bincount(pairs[:, one], points_mm[pairs[:, other], 2], len(points_mm))
-    fused = SurfaceMap(step_mm, bounded=False)
-    averaged = np.column_stack((points_mm[:, :2], total / count))
-    # The map accepts the extent of one press at a time, not a table's width.
-    _, block = np.unique(np.floor(points_mm[:, :2] / _BLOCK_MM), axis=0, return_inverse=True)
-    for k in range(block.max() + 1):
-        part = averaged[block == k]
-        fused.add(part, np.ones(len(part)))
-    return fused.raster()
 
 
 _PANEL_PX = 600  # greatest width of a surface with fewer cells

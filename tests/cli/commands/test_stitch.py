@@ -81,6 +81,23 @@ def test_noisy_poses(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     )
 
 
+def test_the_papers_average_is_a_users_choice(folder: Path, tmp_path: Path) -> None:
+    known = ("--truth", str(folder / "PAD.npz"))
+    noisy = "POSES_NOISY.csv"
+    maps = {}
+    for fusion in ("tiles", "mean"):
+        out = tmp_path / fusion
+        assert main(words(folder, out, "--fusion", fusion, *known, poses=noisy)) == 0
+        maps[fusion] = json.loads((out / "map.json").read_text())
+        assert maps[fusion]["fusion"] == fusion
+    tiles, mean = maps["tiles"], maps["mean"]
+    assert mean["score"] == mean["paper"] == tiles["paper"]
+    assert mean["score"]["rms_mm"] > tiles["score"]["rms_mm"]
+    assert not mean["refined"]
+    assert mean["used"] == 12
+    assert {press["moved_mm"] for press in mean["presses"]} == {0.0}
+
+
 def recorded(folder: Path, path: Path, *, poses: bool = True) -> Path:
     """A robot that presses three times and holds still for half a second, at 30 frames a second."""
     path.mkdir()
@@ -150,6 +167,7 @@ def no_number(pad: Path) -> None:
         ),
         (lambda _: None, ("--find-flange",), "POSES.csv: translation along x, y, z"),
         (lambda _: None, ("--find-flange", "--truth", "{pad}/PAD.npz"), "--truth: "),
+        (lambda _: None, ("--find-flange", "--fusion", "mean"), "--fusion: "),
         (lambda pad: recorded(pad, pad / "rec", poses=False), ("--recording", "{pad}/rec"), ""),
         (
             lambda pad: recorded(pad, pad / "rec"),
