@@ -3,16 +3,22 @@
 
 ::
 
-    .venv/bin/python -m tools.results            # list the pages that are stale, and why
+    .venv/bin/python -m tools.results            # list the pages that are stale, why, and how long each takes
     .venv/bin/python -m tools.results drag slip  # run the commands of these pages, and write their tables
+    .venv/bin/python -m tools.results --mark     # write or remove the lines "Older than the code"
 
 A person writes a page's title and text; this program replaces everything below, from the first line "Made with", by
-what the page's commands print, less `Page.leave_out`. A page is stale if weights, inference, `core` or its own program
-changed since a commit that it names. Pages of speed need an otherwise idle machine.
+what the page's commands print. A table of more than `LONG` rows also goes into a CSV file beside the page.
+
+A page is stale if its fingerprint (tools/fingerprint.py) is not that of the code: networks, golden results, and the
+page's own programs; for pages of speed, also the code that a frame passes. `make check` fails for a stale page that is
+not in `OLDER`. Pages of speed need an otherwise idle machine.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
 import resource
@@ -24,28 +30,41 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from tools.fingerprint import changed, fingerprint
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
 OTHER_LOAD = 0.1
 """A page of speed is written only if other programs used at most this many cores on average."""
+LONG = 30
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
-FIT = "tools.studies.fit --folder out/fit --cases"
+FIT = "tools.studies.fit --folder out/fit/CODE --cases"
+"""Its folder keeps finished cases, those of this CODE alone."""
+THIRD = "tools.studies.third_family.evaluate --range"
+FRAME = ("tacshade_edge/core", "tacshade_edge/inference")
+"""What a frame passes."""
+SERVED = (*FRAME, "tacshade_edge/daemon", "tacshade_edge/devices", "tacshade_edge/protocol")
+JUDGES = ("tacshade_edge/core/frame_check",)
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """The commands of a page (modules and their arguments; each but the first below a heading), and what it leaves out.
+    """The commands of a page (modules and their arguments) by heading; the first has none.
 
-    `leave_out` is a pattern of lines above tables, column names and rows (cells joined by " | ").
+    `code` names folders that decide its figures beside its own programs and the golden results. `drawn` are pictures
+    that the first command writes into `--out`.
     """
 
     commands: dict[str, str]
-    leave_out: str = r"(?!)"
+    code: tuple[str, ...] = ()
     idle: bool = False
     drawn: tuple[str, ...] = ()
-    own: tuple[str, ...] = ()
+
+    def fingerprint(self) -> str:
+        """Fingerprint what decides the page's figures now."""
+        return fingerprint(map(program_of, self.commands.values()), self.code)
 
 
 PAGES = {
@@ -55,44 +74,26 @@ PAGES = {
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
-        r"^(Profiles|missed)$|\| Table I |^(?!mean)\w+ \| (paper|fast|balanced) |^(?!mean|cone)\w+ \| accurate \|",
     ),
-    "drag": Page(
-        {"": "tools.studies.drag --final"},
-        r"^(frames|missed|refused|IoU|SD %|95 %)$|^\d.* \| (fast|balanced) |^[12] mm \|",
-    ),
-    "sigma": Page(
-        {"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"},
-        r"^(Both families|frames|cells|error in the tenth of greatest σ %)$|^(0|1|2|2.75|4.5) mm ",
-    ),
+    "drag": Page({"": "tools.studies.drag --final"}),
+    "sigma": Page({"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"}),
     "limits": Page(
         {
             "": "tools.studies.limits",
             "Which judge refuses a frame": "tools.studies.judges --frames 74",
         },
-        r"^The limits of|^(silent ones|frames|invalid|degraded|lost|silently > 25 %|0\.(1|15|2|25|35|6) mm"
-        r"|1\.5 mm|[12457] mm)$"
-        r"|^pitch (1\.[46]|2|2\.[24])$|radius 9|^cylinder|half the dip|^ball, 90 %|^beyond.*(accurate|balanced)"
-        r"|\| 0 \| 0\.00$|^(nothing|light|one side|warm-up|noise|after a)[^|]*\| (fast|balanced|accurate) "
-        r"|saturated %|^(glare spot|after a release|dirty: specks|pressed) \| \d"
-        r"|^(glare spot|moved by 1 px) \| \w+ \| 126|^not degraded$|^(nothing|light within|one side|warm-up"
-        r"|moved by 1 px|noise of|pressed, |torn: (rows sideways by 200|one row|rows down|black)|black|white"
-        r"|foreign: no skin|light x0)[^|]*\| \d+ \| ",
+        code=JUDGES,
     ),
     "tradeoff": Page(
         {"": "tacshade_edge tradeoff --plot", "Three users": "tools.benchmarks.users"},
-        r"^(networks|MiB|idle ms|fps, 4 fingers)$|^(contact|cloud|sigma|shear \| (fast|balanced)) \|"
-        r"|^(# |profile:|source:|  )",
+        code=SERVED,
         idle=True,
         drawn=("tradeoff.png",),
-        own=("tacshade_edge/studies",),
     ),
     "daemon": Page(
         {"": "tools.benchmarks.daemon --seconds 60 --runs 2"},
-        r"^(captured|published|superseded|without_contact|unasked|invalid|failed|received|peak MB)$"
-        r"|^(beside|contact, p50|free, p50) ",
+        code=SERVED,
         idle=True,
-        own=("tacshade_edge/daemon",),
     ),
     "real-frames": Page(
         {
@@ -102,18 +103,13 @@ PAGES = {
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
         },
-        r"shear, no map|one offset|^(why|frames|of more than 0.3 mm)$|^(Published|References|Circle|fit of|Figures)"
-        r"|^light \| light of |of 500 \||^(fast|balanced) \| (tilt|shear) ",
+        code=(*JUDGES, "tacshade_edge/fitting"),
     ),
-    "slip": Page(
-        {"": "tools.studies.slip"},
-        r"^(slips|early|never|deepest dent mm)$|^all |mm/s \| (fast|accurate) ",
-    ),
+    "slip": Page({"": "tools.studies.slip"}, code=("tacshade_edge/core/contact",)),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
-        r"^(touches a second|their age, ms|frames not drawn)$|^\d+ \| (20|50) |^5 ",
+        code=SERVED,
         drawn=("servo.png",),
-        own=("tools/examples/servo",),
     ),
     "fit": Page(
         {
@@ -121,10 +117,15 @@ PAGES = {
             "With 40 presses": f"{FIT} 9028,other:9028,9029,other:9029",
             "What the fit knows": f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep",
         },
-        r"^(ME after|The fit of all)|^(worst .*|6 mm deep (shipped|fitted)|IoU .*|file kB .*|start ms .*|.* worst"
-        r"|SD % .*|frame ms .*|half of each.*|memory MB|fit s|kept|in 90 % .*)$"
-        r"|^[^|]*\| fast \||^[^|]*(\d|/[^n]\w+) \| [+-]",
-        own=("tacshade_edge/fitting",),
+    ),
+    "third-family": Page(
+        {
+            "": f"{THIRD} working --sensors 6 --ways 2 --states out/third",
+            "Final range": f"{THIRD} final --sensors 6 --ways 2 --states out/third",
+            "Final range, 40 presses": f"{THIRD} final --sensors 6 --ways 2 --states out/third --presses 40",
+            "Fitted": f"{THIRD} final --sensors 2 --ways 3 --states out/third --fit",
+            "Fitted, 40 presses": f"{THIRD} final --sensors 2 --ways 3 --states out/third --presses 40 --fit",
+        },
     ),
     "touch": Page(
         {
@@ -132,46 +133,50 @@ PAGES = {
             "Thresholded frames of another robot": "tools.studies.touch plates out/real/tactile_data_shear"
             " --profile accurate --labels 4000 400 100",
         },
-        r"^(Mean absolute|Published: )",
+        code=("tacshade_edge/core/touch",),
         drawn=("touch.png",),
     ),
-    "arm": Page(
-        {"": "tools.ci.run_arm --count-only"},
-        r"^nothing failed$|no contact|^--- ",
-        own=("tools/ci",),
-    ),
-    "faults": Page(
-        {"": "tools.faults table"},
-        r"^reported where$|^(recordings read|SIGTERM)",
-        own=("tacshade_edge/daemon",),
-    ),
+    "arm": Page({"": "tools.ci.run_arm --count-only"}, code=FRAME),
+    "faults": Page({"": "tools.faults table"}, code=SERVED),
 }
+OLDER = (
+    "objects",
+    "drag",
+    "sigma",
+    "limits",
+    "tradeoff",
+    "daemon",
+    "real-frames",
+    "slip",
+    "servo",
+    "fit",
+    "third-family",
+    "touch",
+    "arm",
+    "faults",
+)
+"""Pages that could not be made again with the code, and say so at their top. The list only shrinks."""
+FINGERPRINT = re.compile(r", code ([0-9a-f]+(?:-[0-9a-f]+)+)")
+MARK = re.compile(r"^> \*\*Older than the code\.\*\* .*\n\n", re.MULTILINE)
 
 
-def shrunk(printed: str, leave_out: str) -> str:
-    """Drop lines, columns and rows that match a pattern; a table and the line above it go together."""
-    blocks: list[str | None] = []
-    dropped = re.compile(leave_out)
+def program_of(command: str) -> str:
+    """Name the module that does a command's work."""
+    program, verb, *_ = (*command.split(), "")
+    return f"tacshade_edge.cli.commands.{verb}" if program == "tacshade_edge" else program
+
+
+def long_tables(printed: str) -> list[str]:
+    """The tables of more than `LONG` rows, as CSV."""
+    found = []
     for block in printed.split("\n\n"):
         lines = block.splitlines()
-        if not block.startswith("|"):
-            blocks.append("\n".join(line for line in lines if not dropped.search(line)) or None)
-            continue
-        rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-        rows[1] = [re.sub("-+", "---", cell) for cell in rows[1]]
-        kept = [index for index, name in enumerate(rows[0]) if not dropped.search(name)]
-        body = [row for row in rows[2:] if not dropped.search(" | ".join(row))]
-        if blocks and blocks[-1] is None:
-            blocks[-1] = ""
-        elif body:
-            blocks.append(
-                "\n".join(
-                    f"| {' | '.join(row[index] for index in kept)} |" for row in (*rows[:2], *body)
-                )
-            )
-        elif blocks and not (blocks[-1] or "|").startswith("|"):
-            blocks.pop()
-    return "\n\n".join(block for block in blocks if block)
+        if block.startswith("|") and len(lines) > LONG + 2:
+            rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+            text = io.StringIO()
+            csv.writer(text, lineterminator="\n").writerows([rows[0], *rows[2:]])
+            found.append(text.getvalue())
+    return found
 
 
 def git(*words: str) -> str:
@@ -181,15 +186,17 @@ def git(*words: str) -> str:
     ).stdout.strip()
 
 
-def made_with(command: str, other: float) -> str:
-    """Say how figures were made: by which command, commit and machine, beside how much other work."""
-    code = ("--", ".", ":!docs", ":!*.md")
-    commit = git("log", "-1", "--format=%h of %cs", *code)
-    changed = " with uncommitted changes" if git("status", "--porcelain", *code) else ""
+def made_with(command: str, code: str, seconds: float, other: float) -> str:
+    """Say how figures were made: by which command, commit and machine, how long, beside how much other work."""
+    files = ("--", ".", ":!docs", ":!*.md")
+    commit = git("log", "-1", "--format=%h of %cs", *files)
+    edited = " with uncommitted changes" if git("status", "--porcelain", *files) else ""
     names = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     name = names[0].replace("(R)", "").replace(" Processor", "") if names else "unnamed processor"
-    machine = f"{name}, {len(os.sched_getaffinity(0))} cores"
-    return f"Made with `python -m {command}` at {commit}{changed} on {machine}; other work: {other:.2f}."
+    count = len(os.sched_getaffinity(0))
+    machine = f"{name}, {count} core{'s' if count > 1 else ''}"
+    made = f"at {commit}{edited}, code {code}, in {seconds:.0f} s"
+    return f"Made with `python -m {command}` {made} on {machine}; other work: {other:.2f}."
 
 
 def worked_s() -> float:
@@ -207,64 +214,123 @@ def worked_s() -> float:
 
 def write(name: str, page: Page) -> None:
     """Run a page's commands and write the page; exit if a command fails or the machine is not idle."""
-    file = FOLDER / f"{name}.md"
-    parts = [
-        re.split(
-            r"^(?:Made with|## )", file.read_text(encoding="utf-8"), maxsplit=1, flags=re.MULTILINE
-        )[0].strip()
-    ]
+    file, code = FOLDER / f"{name}.md", page.fingerprint()
+    written = MARK.sub("", file.read_text(encoding="utf-8"))
+    parts = [re.split(r"^(?:Made with|## )", written, maxsplit=1, flags=re.MULTILINE)[0].strip()]
+    tables: list[str] = []
     with tempfile.TemporaryDirectory() as out:
         for heading, command in page.commands.items():
             before, start = worked_s(), time.monotonic()
             drawing = ["--out", out] if page.drawn and not heading else []
-            words = [sys.executable, "-m", *command.split(), *drawing]
+            words = [sys.executable, "-m", *command.replace("CODE", code).split(), *drawing]
             done = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
             # A benchmark that misses its own bar exits with 1, but has still measured.
             if done.returncode and (done.returncode != 1 or "|" not in done.stdout):
                 sys.exit(f"{name}: {command}: exit code {done.returncode}")
-            other = max(0.0, worked_s() - before) / (time.monotonic() - start)
+            seconds = time.monotonic() - start
+            other = max(0.0, worked_s() - before) / seconds
             if page.idle and other > OTHER_LOAD:
                 sys.exit(f"{name}: other programs took {other:.2f} cores meanwhile; not written")
-            printed = shrunk(done.stdout.replace(f"{ROOT}/", "").strip(), page.leave_out)
-            parts += [*([f"## {heading}"] if heading else []), made_with(command, other), printed]
+            printed = done.stdout.replace(f"{ROOT}/", "").strip()
+            made = made_with(command, code, seconds, other)
+            parts += [*([f"## {heading}"] if heading else []), made, printed]
+            tables += long_tables(printed)
         for picture in page.drawn:
             shutil.copy(Path(out) / picture, FOLDER / picture)
             parts.append(f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})")
+    if page.fingerprint() != code:
+        sys.exit(f"{name}: the code changed meanwhile; not written")
+    parts += write_tables(name, tables)
     file.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def write_tables(name: str, tables: list[str]) -> list[str]:
+    """Write long tables beside the page, in place of earlier ones, and return the line that links to them."""
+    for old in FOLDER.glob(f"{name}-[0-9].csv"):
+        old.unlink()
+    links = []
+    for number, table in enumerate(tables, start=1):
+        file = FOLDER / f"{name}-{number}.csv"
+        file.write_text(table, encoding="utf-8")
+        links.append(f"[{file.name}]({file.name})")
+    return [f"The long tables as CSV: {', '.join(links)}."] if links else []
+
+
+def text_of(name: str) -> str:
+    """A page's text."""
+    return (FOLDER / f"{name}.md").read_text(encoding="utf-8")
 
 
 def commits_of(name: str) -> list[str]:
     """List the commits that a page names, none for figures of uncommitted changes."""
-    text = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
-    return re.findall(r"(?:at|code \|) ([0-9a-f]{7,40}) of [\d-]{10}(?! with uncommitted)", text)
+    return re.findall(
+        r"(?:at|code \|) ([0-9a-f]{7,40}) of [\d-]{10}(?! with uncommitted)", text_of(name)
+    )
 
 
 def why_stale(name: str, page: Page) -> str:
     """Say why a page is stale; an empty string if it is not."""
-    programs = {command.split()[0].replace(".", "/") for command in page.commands.values()} - {
-        "tacshade_edge"
-    }
-    paths = ["tacshade_edge/core", "tacshade_edge/inference", *page.own]
-    paths += [path if (ROOT / path).is_dir() else f"{path}.py" for path in programs]
-    for commit in commits_of(name):
-        if changes := git(
-            "log", "--format=%h %s", f"{commit}..HEAD", "--", ":!*.md", *paths
-        ).splitlines():
-            return f"{len(changes)} commits since {commit}, the last {changes[0]}"
-    return "" if commits_of(name) else "names no commit"
+    now, found = page.fingerprint(), FINGERPRINT.findall(text_of(name))
+    if len(found) != len(page.commands):
+        return f"names {len(found)} fingerprints of {len(page.commands)}"
+    parts = dict.fromkeys(part for one in found for part in changed(one, now).split(", ") if part)
+    return f"changed since: {', '.join(parts)}" if parts else ""
+
+
+def takes(name: str) -> str:
+    """How long a page took when it was made last."""
+    seconds = [int(found) for found in re.findall(r", in (\d+) s on ", text_of(name))]
+    return f"{sum(seconds) / 60:.1f} min" if seconds else "time not measured"
+
+
+def mark_of(name: str) -> str:
+    """The line at the top of a page that could not be made again."""
+    text = text_of(name)
+    commits = dict.fromkeys(re.findall(r"[0-9a-f]{7,40} of [\d-]{10}", text))
+    less = "" if FINGERPRINT.search(text) else ", without some rows and columns,"
+    return (
+        f"> **Older than the code.** These figures{less} are of {', '.join(commits)};"
+        f" `python -m tools.results {name}` makes them again ({takes(name)}).\n\n"
+    )
+
+
+def mark(name: str) -> None:
+    """Write or remove the line at the top of a page."""
+    title, _, rest = MARK.sub("", text_of(name)).partition("\n\n")
+    line = mark_of(name) if name in OLDER else ""
+    (FOLDER / f"{name}.md").write_text(f"{title}\n\n{line}{rest}", encoding="utf-8")
+
+
+def mistake(name: str, page: Page) -> str:
+    """What `make check` has against a page; an empty string if nothing."""
+    why, listed = why_stale(name, page), name in OLDER
+    if why and not listed:
+        return f"{name} is older than the code ({why}): run `python -m tools.results {name}`"
+    if listed and not why:
+        return f"{name} is as new as the code: take it out of OLDER in tools/results.py"
+    if MARK.findall(text_of(name)) != ([mark_of(name)] if listed else []):
+        return f"{name}: run `python -m tools.results --mark`"
+    return ""
 
 
 def main() -> None:
-    """List the stale pages, or make those that are named."""
+    """List the stale pages, mark those that are older, or make those that are named."""
     names = sys.argv[1:]
+    if names == ["--mark"]:
+        for name in PAGES:
+            mark(name)
+        return
     if unknown := sorted({*names} - {*PAGES}):
         sys.exit(f"{unknown[0]!r} is none of {', '.join(PAGES)}")
     for name in names:
         write(name, PAGES[name])
         print(f"{name} written", flush=True)
+        if name in OLDER:
+            print(f"Take {name!r} out of OLDER in tools/results.py")
     if not names:
         stale = {name: why for name, page in PAGES.items() if (why := why_stale(name, page))}
-        print("\n".join(f"{name:12} {why}" for name, why in stale.items()) or "no page is stale")
+        lines = [f"{name:12} {takes(name):>17}  {why}" for name, why in stale.items()]
+        print("\n".join(lines) or "no page is stale")
 
 
 if __name__ == "__main__":

@@ -98,7 +98,8 @@ def main() -> None:
         rows = [run(user, block, Path(name), broker.port, args) for user, block in blocks.items()]
     head = ["wanted", "settings", "promised p99 ms", "frames/s"]
     head += ["measured frames/s", "p50 ms", "p99 ms", "lost", "CPU cores", "memory MB"]
-    print(markdown(head, rows), *blocks.values(), sep="\n\n")
+    settings = [f"```yaml\n{block.strip()}\n```" for block in blocks.values()]
+    print(markdown(head, rows), *settings, sep="\n\n")
 
 
 if __name__ == "__main__":

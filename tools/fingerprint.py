@@ -1,0 +1,123 @@
+"""A fingerprint of what decides a page's figures: networks, golden results, and the programs that measure.
+
+Of Python files the syntax tree counts, without docstrings: neither formatting nor comments change a fingerprint, and
+every version of Python makes the same.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WEIGHTS = ROOT / "tacshade_edge/inference/weights"
+GOLDEN = ROOT / "tests/golden"
+PARTS = ("networks", "golden results", "program")
+"""What a fingerprint is made of, in this order."""
+DIGITS = 5
+FOLLOWED = (
+    "tools/",
+    "tacshade_edge/cli/commands/",
+    "tacshade_edge/fitting/",
+    "tacshade_edge/simulator/camera_faults",
+    "tacshade_edge/studies/",
+)
+"""A program's imports from here belong to it; what else it imports is pinned by the golden results."""
+
+
+def fingerprint(programs: Iterable[str], folders: Iterable[str] = ()) -> str:
+    """Fingerprint modules with what they import from `FOLLOWED`, and whole folders of code."""
+    code = imported(programs)
+    for folder in folders:
+        code |= set((ROOT / folder).rglob("*.py"))
+    parts = (
+        _digest((path, _bytes_of(path)) for path in WEIGHTS.iterdir()),
+        _digest((path, _bytes_of(path)) for path in GOLDEN.glob("*.json")),
+        _digest((path, tree_of(path)) for path in code),
+    )
+    return "-".join(parts)
+
+
+def changed(one: str, other: str) -> str:
+    """Name the parts in which two fingerprints differ."""
+    pairs = zip(PARTS, one.split("-"), other.split("-"), strict=True)
+    return ", ".join(name for name, ours, theirs in pairs if ours != theirs)
+
+
+def imported(programs: Iterable[str]) -> set[Path]:
+    """Find the files of modules, and of all that they import from `FOLLOWED`, directly or not."""
+    found: set[Path] = set()
+    waiting = [path for program in programs for path in _files_of(program)]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _imports_of(path)
+    return found
+
+
+@cache
+def tree_of(path: Path) -> str:
+    """Digest a file's syntax tree."""
+    tree = ast.parse(path.read_bytes())
+    return hashlib.sha256("".join(_words(tree)).encode()).hexdigest()
+
+
+@cache
+def _bytes_of(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _digest(digests: Iterable[tuple[Path, str]]) -> str:
+    lines = sorted(f"{path.relative_to(ROOT).as_posix()} {digest}\n" for path, digest in digests)
+    return hashlib.sha256("".join(lines).encode()).hexdigest()[:DIGITS]
+
+
+def _words(value: object) -> Iterator[str]:
+    """Write a tree without what differs between versions of Python: empty fields and contexts."""
+    if isinstance(value, ast.AST):
+        yield f"({type(value).__name__}"
+        for name, field in ast.iter_fields(value):
+            if isinstance(field, list):
+                field = [each for each in field if not _says_nothing(each, value)]
+            if name not in ("ctx", "kind", "type_comment") and field != []:
+                yield f" {name}"
+                yield from _words(field)
+        yield ")"
+    elif isinstance(value, list):
+        for each in value:
+            yield from _words(each)
+    else:
+        yield f" {value!r}"
+
+
+def _says_nothing(node: object, parent: ast.AST) -> bool:
+    """Whether a node is a docstring, or an empty piece of an f-string."""
+    if isinstance(node, ast.Expr):
+        return isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    return isinstance(parent, ast.JoinedStr) and isinstance(node, ast.Constant) and node.value == ""
+
+
+@cache
+def _imports_of(path: Path) -> tuple[Path, ...]:
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(
+        file
+        for name in names
+        for file in _files_of(name)
+        if file.relative_to(ROOT).as_posix().startswith(FOLLOWED)
+    )
+
+
+def _files_of(module: str) -> list[Path]:
+    path = ROOT.joinpath(*module.split("."))
+    files = (path.with_suffix(".py"), path / "__init__.py", path / "__main__.py")
+    return [file for file in files if file.is_file()]
