@@ -1,4 +1,4 @@
-"""Executors for independent jobs on this machine's cores; results in the order of their tasks."""
+"""Executors for independent jobs, here or on a cluster; results in the order of their tasks."""
 
 from __future__ import annotations
 
@@ -44,11 +44,19 @@ class ThisProcess:
 
 
 @contextlib.contextmanager
-def workers() -> Iterator[Workers]:
-    """Start a process for each usable core; with one core, jobs run in this process. Jobs are module-level functions.
-    Raises DeviceError (a process was killed).
+def workers(cluster: str | None = None) -> Iterator[Workers]:
+    """Start a process for each usable core, or connect to a Dask cluster, if its address is given.
+
+    With one core, jobs run in this process. Jobs are module-level functions. Raises DeviceError (a
+    process was killed; the cluster or its workers are lost) and ConfigError (no Dask is installed
+    here; the cluster runs another program).
     """
-    if usable_cores() == 1:
+    if cluster is not None:
+        from tacshade_edge.studies.cluster import connected
+
+        with connected(cluster) as remote:
+            yield remote
+    elif usable_cores() == 1:
         yield ThisProcess()
     else:
         with processes() as found:

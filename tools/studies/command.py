@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import KnownPress
@@ -87,6 +88,7 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write the table, its rows as CSV, and plots"
     )
+    add_cluster(parser)
     parser.set_defaults(json=False)
 
 
@@ -162,7 +164,7 @@ def run(
     kinds: Mapping[str, type[Any]],
 ) -> None:
     """Work; print the table, and write it and its rows; `kinds` are those of rows by the end of their file's name."""
-    with folder_for(parser, args.out), workers() as pool:
+    with folder_for(parser, args.out), workers(args.cluster) as pool:
         rows = work(pool, Progress())
         files = {
             end: csv_text(kind, [row for row in rows if isinstance(row, kind)])

@@ -9,8 +9,9 @@ A case is a sensor and what the fit knows of it (`WAYS`): references and 40 pres
 what a user does not know: the exact print and mechanics, or wrong ones. The presses are of balls of three sizes, flat
 ends of two, a square and a lying bar, or of the balls alone, 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm
 in place and 0.03 mm in depth (one standard deviation each). Networks that the fit does not keep are judged as well.
-Each case runs in its own process. With a folder, the study keeps each case's results and its fitted calibration there,
-and does not measure the case again until the program changes.
+Each case runs in its own process, one after another, as times are measured; on a cluster (``--cluster ADDRESS``), many
+fits run at the same time, and their times and memory are left out. With a folder, the study keeps each case's results
+and its fitted calibration there, and does not measure the case again until the program changes.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -33,6 +34,8 @@ from typing import Any
 import numpy as np
 
 import tacshade_edge
+from tacshade_edge.cli.shared.options import add_cluster
+from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration import indenters as shapes
 from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
@@ -58,8 +61,10 @@ from tacshade_edge.studies.evaluate.work import (
     SensorName,
     scenes,
 )
+from tacshade_edge.studies.parallel import reported_map, workers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
+from tools.studies import command
 from tools.studies.command import stated_press
 from tools.studies.sigma import true_height_mm
 from tools.testbed.simulator.families import sensor_name
@@ -290,8 +295,8 @@ def sizes_off_pct(calibration: Calibration, model: SensorModel) -> dict[str, flo
     }
 
 
-def measured(case: str, keep: Path | None) -> dict[str, object]:
-    """Calibrate, fit and judge a case; keep the calibration that the user would have."""
+def measured(case: str) -> tuple[dict[str, Any], bytes]:
+    """Calibrate, fit and judge a case; return the file of the calibration that the user would have, too."""
     text, _, known = case.partition("/")
     name, way = sensor_name(text), WAYS[known]
     sensor = name.make()
@@ -312,13 +317,15 @@ def measured(case: str, keep: Path | None) -> dict[str, object]:
     fitted = fit(result.calibration, result.presses, lambda _: None, stated, mechanics=mechanics)
     fit_s = time.monotonic() - began_s
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    if keep:
-        calibration_file.save(keep, fitted.calibration)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "calibration.npz"
+        calibration_file.save(file, fitted.calibration)
+        content = file.read_bytes()
     calibrations = {
         "shipped": result.calibration,
         "fitted": replace(fitted.calibration, fitted=dict(fitted.trained)),
     }
-    return {
+    figures = {
         "fit_s": fit_s,
         "memory_mb": memory_mb,
         "found": fitted.found,
@@ -328,6 +335,7 @@ def measured(case: str, keep: Path | None) -> dict[str, object]:
         "cost": cost(sensor, calibrations),
         "rows": [asdict(row) for row in judge(name, sensor, calibrations)],
     }
+    return figures, content
 
 
 def program() -> str:
@@ -343,21 +351,50 @@ def program() -> str:
     return digest.hexdigest()
 
 
-def of_case(case: str, folder: Path | None) -> dict[str, Any]:
-    """A case's results, measured now or kept."""
-    kept = folder / f"{case.replace(':', '_').replace('/', '_')}.json" if folder else None
-    if kept and kept.exists():
-        found: dict[str, object] = json.loads(kept.read_text())
-        if found["program"] == program():
-            return found
-    if kept:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        work = pool.submit(measured, case, kept and kept.with_suffix(".npz"))
-        made = {"program": program(), **work.result()}
-    if kept:
-        kept.write_text(json.dumps(made))
-    return made
+def kept_files(folder: Path, case: str) -> tuple[Path, Path]:
+    """The files that keep a case's results and its calibration."""
+    stem = case.replace(":", "_").replace("/", "_")
+    return folder / f"{stem}.json", folder / f"{stem}.npz"
+
+
+def known_results(folder: Path | None, case: str, timed: bool) -> dict[str, Any] | None:
+    """A case's results if this program measured them before; with times, if they are `timed`."""
+    path = kept_files(folder, case)[0] if folder else None
+    if path is None or not path.exists():
+        return None
+    found: dict[str, Any] = json.loads(path.read_text())
+    usable = found["program"] == program() and (found.get("timed", True) or not timed)
+    return found if usable else None
+
+
+def of_cases(
+    cases: Sequence[str], folder: Path | None, cluster: str | None
+) -> Iterator[dict[str, Any]]:
+    """Each case's results, measured now or kept."""
+    timed = cluster is None
+    found = {case: known_results(folder, case, timed) for case in cases}
+    missing = [case for case in cases if found[case] is None]
+    spawn = multiprocessing.get_context("spawn")
+    here = ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1)
+    with here if timed else workers(cluster) as pool:
+        made = reported_map(measured, missing, pool, Progress(), "fits")
+        for case in cases:
+            known = found[case]
+            if known is None:
+                figures, calibration = next(made)
+                known = {"program": program(), "timed": timed, **figures}
+                keep(folder, case, known, calibration)
+            yield known
+
+
+def keep(folder: Path | None, case: str, results: Mapping[str, Any], calibration: bytes) -> None:
+    """Write a case's results and its calibration into the folder, if there is one."""
+    if folder is None:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    path, beside = kept_files(folder, case)
+    beside.write_bytes(calibration)
+    path.write_text(json.dumps(results))
 
 
 def of_objects(rows: list[Judged], value: str) -> list[float]:
@@ -440,13 +477,19 @@ def main() -> None:
         help="sensors, with /balls for balls alone or /none for no presses",
     )
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
+    add_cluster(parser)
     args = parser.parse_args()
-    sensors, costs, of_cases, prints = [], [], [], []
-    for case in args.cases.split(","):
-        found = of_case(case, args.folder)
+    with command.folder_for(parser, args.folder):
+        report(args.cases.split(","), args.folder, args.cluster)
+
+
+def report(cases: Sequence[str], folder: Path | None, cluster: str | None) -> None:
+    """Measure and print the tables."""
+    sensors, costs, judged_cases, prints = [], [], [], []
+    for case, found in zip(cases, of_cases(cases, folder, cluster), strict=True):
         print(f"{case}: fitted in {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
         rows = [Judged(**row) for row in found["rows"]]
-        of_cases.append((found["reports"], rows))
+        judged_cases.append((found["reports"], rows))
         sensors += of_sensor(case, found["reports"], rows)
         sizes: dict[str, float] = found["sizes_off_pct"]
         prints.append([case, *(f"{off:+.0f}" for off in sizes.values())])
@@ -469,11 +512,13 @@ def main() -> None:
         for judged in ("pressed", "dragged", "half of each", "6 mm deep")
         for what in ("mean", "worst")
     ]
-    print(markdown(["method", "kept", *of_each], changes(of_cases)))
+    print(markdown(["method", "kept", *of_each], changes(judged_cases)))
     print(f"\nME mm of each sensor, dragged by {DRAG_MM:g} mm, {DRAGGED_MM:g} mm deep\n")
     print(markdown(["sensor", "method", "kept", *pairs(*FIGURES)], sensors))
     print("\nThe print that the reference shows, off by %\n")
     print(markdown(["sensor", *sizes], prints))
+    if cluster is not None:  # other fits ran at the same time
+        return
     print(f"\nThe fit of all profiles; file, start and a frame of `{DEFAULT}`\n")
     print(
         markdown(["sensor", "fit s", "memory MB", *pairs("file kB", "start ms", "frame ms")], costs)

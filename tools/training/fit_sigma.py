@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
+from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
 from tacshade_edge.core.calibration.refit import refit_profile
@@ -243,8 +244,9 @@ def _press_q(network: str, model: SigmaModel, sensor: Measured) -> float:
 def main() -> None:
     """Fit all networks and write the file."""
     parser = argparse.ArgumentParser(description="Fit how far off the shipped networks are.")
-    parser.parse_args()
-    with command.folder_for(parser, None), workers() as pool:
+    add_cluster(parser)
+    args = parser.parse_args()
+    with command.folder_for(parser, None), workers(args.cluster) as pool:
         sensors = list(pool.map(measure, SENSORS))
     networks = {}
     for network in LADDER:

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.studies.parallel import workers
 from tools.studies import command
 from tools.training.outside import VIEWS
@@ -60,6 +61,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sensors", type=int, default=2400, help="of all kinds together")
     parser.add_argument("--frames", type=int, default=12, help="of each sensor")
+    add_cluster(parser)
     args = parser.parse_args(words)
     paths = {
         k: args.out / f"shard_{k:05d}.npz" for k in shards(-(-args.sensors // SENSORS_PER_SHARD))
@@ -69,7 +71,7 @@ def main(words: Sequence[str] | None = None) -> None:
         for k, path in paths.items()
         if not path.exists()
     }
-    with command.folder_for(parser, args.out), workers() as pool:
+    with command.folder_for(parser, args.out), workers(args.cluster) as pool:
         for path, (content, line) in zip(jobs, pool.map(make_shard, jobs.values()), strict=True):
             part = path.with_suffix(".part")
             part.write_bytes(content)

@@ -35,7 +35,7 @@ from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
 
 WORKING_SENSORS = "default,5,11,21"
-SIMULATED = ("sensors", "objects", "presses", "references")
+SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
 """Options that are only for simulated sensors."""
 
 
@@ -68,7 +68,7 @@ def _simulated(args: argparse.Namespace) -> int:
     names, profiles = args.sensors or study.sensors(WORKING_SENSORS), _profiles(args)
     objects, references = args.objects or tuple(OBJECTS), args.references or REFERENCES
     study.make_folder(args.out)
-    with workers() as pool:
+    with workers(args.cluster) as pool:
         rows, found = evaluate(
             names, profiles, objects, pool, Progress(), references=references, presses=presses
         )

@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_option
+from tacshade_edge.cli.shared.options import (
+    COUNT,
+    FINITE,
+    NEXT_FIT,
+    add_cluster,
+    add_option,
+)
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import counted
@@ -99,11 +105,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT
     )
+    add_cluster(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     if args.out is None and args.calibration_set is None and args.pad is None:
         args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
+    if args.cluster is not None and args.pad is None:
+        args.parser.error("--cluster requires --pad: the other images take seconds")
     model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
     sensor = SimulatedSensor(model)
     with disk_errors(Path()):
@@ -115,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             raise ConfigError(f"cannot simulate: {error}") from error
         if args.pad is not None:
-            write_pad(model, args.pad, args.pad_step, _PAD_DEPTH_MM, args.seed)
+            write_pad(model, args.pad, args.pad_step, _PAD_DEPTH_MM, args.seed, args.cluster)
     return 0
 
 
@@ -233,7 +242,14 @@ def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object
         writer.writerows(rows)
 
 
-def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float, seed: int) -> None:
+def write_pad(
+    model: SensorModel,
+    folder: Path,
+    step_mm: float,
+    depth_mm: float,
+    seed: int,
+    cluster: str | None = None,
+) -> None:
     """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
     pad, radius_mm = pads.touchpad(), model.skin_radius_mm
     if not 0.5 <= step_mm <= 20:
@@ -245,7 +261,7 @@ def write_pad(model: SensorModel, folder: Path, step_mm: float, depth_mm: float,
     names = [f"press_{k:04d}.png" for k in range(len(poses))]
     noise_seed = seed * _SEED_STRIDE + _PAD_SEED
     tasks = [(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
-    with workers() as pool:
+    with workers(cluster) as pool:
         for name, data in zip(
             names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True
         ):

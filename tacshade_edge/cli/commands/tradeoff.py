@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     drawn = args.plot and study.will_draw(args, "tradeoff.png")
     profiles = tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
     mistakes: list[str] = []
-    if args.images is not None and study.is_own(args, ("sensors", "objects")):
+    if args.images is not None and study.is_own(args, ("sensors", "objects", "cluster")):
         calibration, cases, mistakes = study.own_images(args)
         some = settings(profiles, calibration)
         judged = judge(some, calibration, cases)
@@ -133,7 +133,7 @@ def _simulated(
     progress = Progress()
     if args.calibration is not None and args.sensors is not None:
         args.parser.error("--sensors cannot be used with --calibration")
-    with workers() as pool:
+    with workers(args.cluster) as pool:
         if args.calibration is not None:
             sensors = [_twin(args, progress)]
         else:
@@ -164,6 +164,7 @@ def _report(args: argparse.Namespace) -> int:
         "outputs",
         "sensors",
         "objects",
+        "cluster",
     ):
         if getattr(args, name) is not None:
             args.parser.error(

@@ -51,6 +51,12 @@ def add_flag(to: Any, name: str, text: str) -> None:
     to.add_argument(name, action="store_true", help=text)
 
 
+def add_cluster(to: Any) -> None:
+    """Declare ``--cluster``, for `parallel.workers`."""
+    text = "run the jobs on a Dask cluster, such as tcp://HOST:8786 (extra `cluster`)"
+    add_option(to, "--cluster", "ADDRESS", text, str)
+
+
 def add_config(parser: argparse.ArgumentParser, text: str = "settings file") -> None:
     add_option(parser, "--config", "FILE", f"{text} (default: %(default)s)", default=DEFAULT_CONFIG)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.cli.shared.options import add_flag, add_option, warn
+from tacshade_edge.cli.shared.options import add_cluster, add_flag, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
@@ -60,6 +60,7 @@ def add_simulated(
     add_option(group, "--sensors", "SEED,...", text, sensors)
     text = f"objects to press, such as ball,cube (default: {object_names})"
     add_option(group, "--objects", "NAME,...", text, objects)
+    add_cluster(group)
     return group
 
 
