@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, overload
 
@@ -42,6 +43,7 @@ from tacshade_edge.types import (
     ObjectCloud,
     Reconstruction,
     Touch,
+    TouchedObject,
     TouchModel,
 )
 
@@ -55,7 +57,11 @@ STAGES = (
     "cloud",
     "sigma",
     "touch",
+    "names",
 )  # in order
+
+Namer = Callable[[Reconstruction], tuple[TouchedObject, ...]]
+"""Gives the objects of a frame in contact the names that were taught."""
 
 
 def no_mark(stage: str) -> None:
@@ -67,7 +73,7 @@ class Reconstructor:
     untouched skin of an earlier frame gets that frame's result. `touch` is the profile's model, or the reason why it
     cannot be used; a list collects the features of each requested touch for learning. A model may see less change than
     the gate requires of a contact. `grid` and `rays` are those of every height map, `changed_part` is the part of the
-    picture that changed in the latest frame.
+    picture that changed in the latest frame; `namer` names the objects, if any were taught.
     """
 
     def __init__(
@@ -99,6 +105,7 @@ class Reconstructor:
             if isinstance(touch, list)
             else 1.0
         )
+        self.namer: Namer | None = None
         self.changed_part = 0.0
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
@@ -237,7 +244,12 @@ class Reconstructor:
             sigma_mm=sigma_mm,
             untrusted=None if untrusted is None else untrusted & self.rays.inside,
         )
-        return self._with_touch(whole, features, mark) if Need.TOUCH in need else whole
+        if Need.TOUCH in need:
+            whole = self._with_touch(whole, features, mark)
+        if self.namer is not None:
+            whole = replace(whole, objects=self.namer(whole))
+            mark("names")
+        return whole
 
     def measured(self, image: U8) -> tuple[Measured, ...]:
         """What the judges measure of an image that has the calibrated size; nothing after the first that refuses."""

@@ -18,7 +18,7 @@ from tacshade_edge.inference.network import can_run, load_networks
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, Files, Rpicam, V4l2
 from tacshade_edge.storage.atomic_files import write_whole
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.calibration import calibration_file, objects_file
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.types import Calibration, FittedNetwork
 
@@ -26,9 +26,16 @@ _log = logging.getLogger(__name__)
 
 
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
-    """Load a calibration, recalibrate one of another version if it keeps its images, and with `store` replace its file
-    and keep the old one beside it. Fitted networks that cannot run are left out. Raises ConfigError.
+    """Load a calibration and the objects that were taught, recalibrate one of another version if it keeps its images,
+    and with `store` replace its file and keep the old one beside it. Fitted networks that cannot run are left out.
+    Raises ConfigError.
     """
+    calibration = _load(path, store)
+    known = objects_file.load(objects_file.path_beside(path))
+    return replace(calibration, known=known) if known else calibration
+
+
+def _load(path: str | os.PathLike[str], store: bool) -> Calibration:
     version = calibration_file.version_of(path)
     inputs = (
         None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)

@@ -193,8 +193,18 @@ def preload(profile: Profile) -> None:
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
     """Make a reconstructor, with the network that the profile names, fitted or shipped; a preloaded one is shared: only
-    one thread of a daemon runs it. A touch model learned from other networks is replaced by a reason.
+    one thread of a daemon runs it. A touch model learned from other networks is replaced by a reason. Objects that were
+    taught are named.
     """
+    made = _without_names(calibration, profile)
+    if known := calibration.known.get(profile.name):
+        from tacshade_edge.inference.objects import make_namer  # only where something is taught
+
+        made.namer = make_namer(known, made.rays, calibration.geometry)
+    return made
+
+
+def _without_names(calibration: Calibration, profile: Profile) -> Reconstructor:
     name, touch = profile.network, calibration.touch.get(profile.name)
     if not name:
         return Reconstructor(calibration, profile)

@@ -36,9 +36,9 @@ _PAYLOAD_BYTES_AT = 84
 _SUMMARY_BYTES_MAX = 1 << 28
 _OF_OBJECT = (
     *("label", "centroid_mm", "extent_mm", "depth_max_mm", "area_mm2", "normal", "shear_mm"),
-    *("twist_deg", "id", "slip", "slip_mm_s"),
+    *("twist_deg", "id", "slip", "slip_mm_s", "name", "probability"),
 )
-_DIGITS = {"twist_deg": 3, "slip_mm_s": 3}
+_DIGITS = {"twist_deg": 3, "slip_mm_s": 3, "probability": 3}
 
 
 class RunWriter:
@@ -176,7 +176,7 @@ def summary(result: Reconstruction) -> dict[str, Any]:
 def _rounded(value: Any, digits: int = 4) -> Any:
     if isinstance(value, tuple):
         return [round(each, digits) for each in value]
-    return None if value is None else round(value, digits)
+    return value if value is None or isinstance(value, str) else round(value, digits)
 
 
 def first_difference(folder: Path, against: Path) -> str:

@@ -26,6 +26,7 @@ from tacshade_edge.types.geometry import (
     freeze,
     frozen,
 )
+from tacshade_edge.types.known_objects import KnownObject
 from tacshade_edge.types.reconstruction import (
     QUANTITIES,
     HeightMap,
@@ -65,6 +66,7 @@ __all__ += [
     "QUANTITIES",
     "TOUCH_ARRAYS",
     "HeightMap",
+    "KnownObject",
     "Need",
     "ObjectCloud",
     "Reconstruction",

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Meta
 
 from tacshade_edge.types.geometry import F32, IDENTITY_POSE, U8, Disc, Geometry, freeze
+from tacshade_edge.types.known_objects import KnownObject
 
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
@@ -204,6 +205,8 @@ class Calibration:
         IDENTITY_POSE
     )
     crc32: int = 0  # of the stored content; 0 until it is stored
+    # Objects by name, of each profile; `storage.calibration.objects_file` stores them in a file of their own.
+    known: Mapping[str, tuple[KnownObject, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "reference_white", "reference_grey")

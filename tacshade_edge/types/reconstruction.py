@@ -82,7 +82,8 @@ class TouchedObject:
     of the plane through its points, away from the camera. `shear_mm` is the mean shear of its skin (None if the solver
     reports none), `twist_deg` the angle about z, from x towards y, of that skin's rotation (None also for a tiny
     contact), `strain_mm` the RMS of the rest, 0 for skin that is held. None for a single image: `id`, the same while
-    the object touches, `slip`, and `slip_mm_s`, the speed of its imprint over the skin.
+    the object touches, `slip`, and `slip_mm_s`, the speed of its imprint over the skin. `name` is that of the taught
+    object that it is, `probability` how probably; both are None if it is none of them or nothing is taught.
     """
 
     label: int
@@ -97,6 +98,8 @@ class TouchedObject:
     id: int | None = None
     slip: Slip | None = None
     slip_mm_s: float | None = None
+    name: str | None = None
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

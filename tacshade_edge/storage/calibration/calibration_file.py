@@ -85,7 +85,7 @@ def _fit(figures: Any) -> Fit | None:
 
 def _content(calibration: Calibration) -> Content:
     meta, arrays = parts_of(
-        replace(calibration, fit=None, fitted={}, touch={}, crc32=0), kept=_ALWAYS
+        replace(calibration, fit=None, fitted={}, touch={}, known={}, crc32=0), kept=_ALWAYS
     )
     del meta["image_height_px"], meta["image_width_px"]  # as the images'
     meta |= {"version": VERSION, "fit": fit_figures(calibration.fit)}
