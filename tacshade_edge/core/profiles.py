@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 from tacshade_edge.core.geometry import disc_map
+
+Outline = Literal["network", "kmeans"]
+"""What separates the contact from the other skin: the network's log odds of contact, or the paper's
+two means of the heights (section V-A)."""
+NETWORK: Final[Outline] = "network"
+KMEANS: Final[Outline] = "kmeans"
 
 AUTO = "auto"  # in place of a profile: the daemon switches between those of `LADDER` by a latency budget
 
@@ -23,6 +30,7 @@ class Profile:
     halved: bool = False  # work on means over 2x2 px of every camera, not only of noisy ones
     cells: int = disc_map.CELLS  # along a side of the network's map
     network: str | None = None
+    outline: Outline = NETWORK
 
 
 DEFAULT = "balanced"  # the profile if the user names none
@@ -33,7 +41,9 @@ _LEARNED = Profile(
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
-        Profile("paper", "hybrid_sfs", stride_px=1, window_pitches=2, tv_weight=0.1),
+        Profile(
+            "paper", "hybrid_sfs", stride_px=1, window_pitches=2, tv_weight=0.1, outline=KMEANS
+        ),
         replace(_LEARNED, name="fast", network="fast", halved=True, cells=56),
         replace(_LEARNED, name="balanced", network="balanced", halved=True),
         _LEARNED,
@@ -42,6 +52,13 @@ PROFILES: dict[str, Profile] = {
 
 # `paper` with the height of eq. 10's g_hn itself: what eq. 11 adds shows beside it.
 PAPER_WITHOUT_EQ_11 = replace(PROFILES["paper"], name="paper without eq. 11", solver="shape_grey")
+
+
+def profile_with(name: str, outline: Outline) -> Profile:
+    """A profile by name, with an outline; `paper` always has its two means."""
+    profile = PROFILES[name]
+    return profile if profile.outline == outline else replace(profile, outline=KMEANS)
+
 
 GATE = replace(
     _LEARNED, name="gate", network=None, halved=True

@@ -29,7 +29,7 @@ from tacshade_edge.core.frame_check import (
 )
 from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import Profile
+from tacshade_edge.core.profiles import NETWORK, Profile
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import (
@@ -95,7 +95,9 @@ class Reconstructor:
         )
         self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
         self._gate = ContactGate(seen)
-        self.gate_part = self._gate.least_part if network else self._gate.plain_part
+        # Two means find an upper cluster in any map, so the gate decides whether there is a contact.
+        judges_contact = network is not None and profile.outline == NETWORK
+        self.gate_part = self._gate.least_part if judges_contact else self._gate.plain_part
         self._solver = SOLVERS[profile.solver](self._preprocessor, network)
         self._touch = touch
         self._touch_part = (
@@ -207,7 +209,7 @@ class Reconstructor:
             np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
             + self._zero_mm
         )
-        contact = contact_of(depth, self.rays.inside)
+        contact = contact_of(depth, self.rays.inside, self.profile.outline)
         objects = None
         if changed_part >= self.gate_part:
             objects = find_objects(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import cv2
 import msgspec
 
-from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
+from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES, profile_with
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import (
     FRAMES_SENT_S,
@@ -112,10 +112,11 @@ class App:
             *(self._use, self._publish_info, lambda: self._recorder.now() is not None),
         )
         known = self._references.calibration
-        profile = PROFILES.get(settings.profile, PROFILES[LADDER[-1]])
+        name = settings.profile if settings.profile in PROFILES else LADDER[-1]
+        profile = profile_with(name, settings.outline)
         first = known if isinstance(known, Reason) else make_reconstructor(known, profile)
         self._active = ActiveProfile(
-            first, settings.profile, settings.latency_budget_ms, self._events.put
+            first, settings.profile, settings.latency_budget_ms, settings.outline, self._events.put
         )
         self._sessions = self._make_sessions(robot)
         timings = Timings()
@@ -268,7 +269,10 @@ class App:
             self._document, settings = document, document.settings
             self._references.reload(calibration, reference_file.path_beside(settings.calibration))
             self._active.reload(
-                settings.profile, settings.latency_budget_ms, self._references.calibration
+                settings.profile,
+                settings.latency_budget_ms,
+                settings.outline,
+                self._references.calibration,
             )
             for observer in self._observers:
                 observer.settings_changed(settings)

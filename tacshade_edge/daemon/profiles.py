@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
+from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES, Outline, profile_with
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.inference.network import make_reconstructor
@@ -149,6 +149,7 @@ class ActiveProfile(FrameObserver):
         reconstructor: Reconstructor | Reason,
         choice: str,
         budget_ms: float | None,
+        outline: Outline,
         report: Callable[[Step], None],
     ) -> None:
         self.reconstructor = reconstructor
@@ -157,7 +158,7 @@ class ActiveProfile(FrameObserver):
         self._chooser: ProfileChooser | None = None
         self._steps = {"steps_down": 0, "steps_up": 0}
         self._late_logged, self._calm_s = False, 0
-        self.budget_ms = budget_ms
+        self.budget_ms, self._outline = budget_ms, outline
         self.choice = choice
         if not isinstance(reconstructor, Reason):
             self._install(
@@ -189,14 +190,18 @@ class ActiveProfile(FrameObserver):
             self._install(self.choice, calibration, {})
         else:
             names = LADDER if self._chooser is not None else (running.profile.name,)
-            self._kept = {name: make_reconstructor(calibration, PROFILES[name]) for name in names}
+            self._kept = {name: self._made(calibration, name) for name in names}
             self.reconstructor = self._kept[running.profile.name]
 
     def reload(
-        self, choice: str, budget_ms: float | None, calibration: Calibration | Reason
+        self,
+        choice: str,
+        budget_ms: float | None,
+        outline: Outline,
+        calibration: Calibration | Reason,
     ) -> None:
         unchanged = (choice, budget_ms) == (self.choice, self.budget_ms)
-        self.choice, self.budget_ms = choice, budget_ms
+        self.choice, self.budget_ms, self._outline = choice, budget_ms, outline
         if unchanged or isinstance(calibration, Reason):
             self.use(calibration)
         else:
@@ -260,10 +265,7 @@ class ActiveProfile(FrameObserver):
         """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
         self.choice, self._late_logged, self._calm_s = choice, False, 0
         names = LADDER if choice == AUTO and self.budget_ms is not None else (choice,)
-        self._kept = {
-            name: ready.get(name) or make_reconstructor(calibration, PROFILES[name])
-            for name in names
-        }
+        self._kept = {name: ready.get(name) or self._made(calibration, name) for name in names}
         if choice != AUTO or self.budget_ms is None:
             self._chooser = None
             self.reconstructor = self._kept[choice]
@@ -274,6 +276,9 @@ class ActiveProfile(FrameObserver):
         costs = ", ".join(f"{name} {ms:.1f} ms" for name, ms in costs_ms.items())
         start = "profile %s: starting with %s for a budget of %g ms; measured costs: %s"
         _log.info(start, AUTO, chooser.profile, self.budget_ms, costs)
+
+    def _made(self, calibration: Calibration, name: str) -> Reconstructor:
+        return make_reconstructor(calibration, profile_with(name, self._outline))
 
 
 def step_cost_ms(reconstructor: Reconstructor) -> float:

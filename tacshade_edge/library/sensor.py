@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 
 from tacshade_edge.core.contact.tracking import ContactTracker
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.core.profiles import DEFAULT, NETWORK, PROFILES, Outline, profile_with
 from tacshade_edge.core.reconstruct import step_and_track
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
@@ -22,7 +22,9 @@ from tacshade_edge.types import U8, Calibration, Frame, Geometry
 _EXPECTED: Final = "a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"
 
 
-def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sensor:
+def load(
+    calibration: str | os.PathLike[str], *, profile: str = DEFAULT, outline: Outline = NETWORK
+) -> Sensor:
     """Load a sensor from its calibration, the file that ``tacshade-edge calibrate`` wrote.
 
     Parameters
@@ -31,13 +33,17 @@ def load(calibration: str | os.PathLike[str], *, profile: str = DEFAULT) -> Sens
         Never written to: an older version's file is recalibrated from its images on each load, which the log reports.
     profile : str
         ``fast``, ``balanced``, ``accurate`` or ``paper``.
+    outline : str
+        What separates the contact from the other skin: ``network``, or ``kmeans`` for two means of
+        the heights as in section V-A of the paper, which ``paper`` always uses.
 
     Raises
     ------
     ConfigError
-        The calibration cannot be used, or there is no such profile.
+        The calibration cannot be used, or there is no such profile or outline.
     """
-    return Sensor(calibrations.load(path_of("calibration", calibration), store=False), profile)
+    known = calibrations.load(path_of("calibration", calibration), store=False)
+    return Sensor(known, profile, outline)
 
 
 class Sensor:
@@ -52,12 +58,14 @@ class Sensor:
         Rows and columns of its images.
     """
 
-    def __init__(self, calibration: Calibration, profile: str) -> None:
+    def __init__(self, calibration: Calibration, profile: str, outline: Outline = NETWORK) -> None:
         if not isinstance(calibration, Calibration):
             raise wrong("calibration", calibration, "what tacshade_edge.load reads: load(path)")
         if not isinstance(profile, str) or profile not in PROFILES:
             raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
-        self._reconstructor = make_reconstructor(calibration, PROFILES[profile])
+        if outline not in get_args(Outline):
+            raise wrong("outline", outline, f"one of {', '.join(get_args(Outline))}")
+        self._reconstructor = make_reconstructor(calibration, profile_with(profile, outline))
         self._in_use = (
             threading.Lock()
         )  # never waited for: the reconstructor's scratch buffers hold one frame

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+from tacshade_edge.core.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.protocol.broker_address import HOST
 
 Placed = Annotated[
@@ -224,6 +224,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         ]
         | None
     ) = None
+    outline: Annotated[
+        Outline, Meta(description="what separates the contact from the other skin")
+    ] = NETWORK
     shear: Annotated[
         Literal["asked", "always"],
         Meta(description="when to compute the skin's shear, twist and slip"),

@@ -29,9 +29,10 @@ from support.networks import saying
 from support.soundness import everything
 
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.contact.objects import two_means_split
 from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import KMEANS, LADDER, NETWORK, PROFILES, profile_with
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.inference.network import load_network, make_reconstructor
 from tacshade_edge.simulator import camera_faults
@@ -396,3 +397,30 @@ def test_a_frame_allocates_no_image_and_leaves_nothing_behind(profile: str) -> N
         assert tracemalloc.get_traced_memory()[0] - before < IMAGE_BYTES / 10
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("profile", LADDER)
+def test_every_profile_can_have_the_papers_outline(profile: str) -> None:
+    frame = Frame(0, 0, 0, pressed("ball", 3.0).image)
+    by_network = make_reconstructor(calibrated(), profile_with(profile, NETWORK)).step(frame)
+    made = make_reconstructor(calibrated(), profile_with(profile, KMEANS))
+    by_heights = made.step(frame)
+    height_mm = by_network.height.height_mm
+    np.testing.assert_array_equal(by_heights.height.height_mm, height_mm)
+    split_mm = two_means_split(height_mm[made.rays.inside])
+    assert by_heights.objects
+    assert (height_mm[by_heights.height.contact] > split_mm).all()
+    assert np.count_nonzero(by_heights.height.contact) != np.count_nonzero(
+        by_network.height.contact
+    )
+    for name, image in harmless(HALF).items():
+        quiet = made.step(Frame(0, 0, 0, image))
+        assert quiet.valid, name
+        assert not quiet.contact, name
+
+
+def test_paper_has_its_outline_whatever_is_asked() -> None:
+    for outline in (NETWORK, KMEANS):
+        assert profile_with("paper", outline) == PROFILES["paper"]
+    assert profile_with("balanced", NETWORK) == PROFILES["balanced"]
+    assert PROFILES["paper"].outline == KMEANS

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES
+from tacshade_edge.core.profiles import AUTO, KMEANS, LADDER, NETWORK, PROFILES
 from tacshade_edge.daemon.profiles import (
     CALM_S,
     LATE_FRAMES,
@@ -156,7 +156,7 @@ class Daemon:
     ) -> None:
         made = make_reconstructor(calibration, PROFILES[CHEAPEST])
         self.stepped: list[Step] = []
-        self.active = ActiveProfile(made, choice, budget_ms, self.stepped.append)
+        self.active = ActiveProfile(made, choice, budget_ms, NETWORK, self.stepped.append)
         self.now_ns = 0
 
     def frames(self, count: int, latency_ms: float, apart_s: float = 0.1) -> None:
@@ -236,12 +236,14 @@ def test_another_reference_or_calibration_keeps_the_profile_and_what_was_found_o
         LADDER[1],
         other.crc32,
     )
-    daemon.active.reload(AUTO, BUDGET_MS, calibration)
+    daemon.active.reload(AUTO, BUDGET_MS, NETWORK, calibration)
     assert (daemon.profile, daemon.active.reconstructor.calibration.crc32) == (
         LADDER[1],
         calibration.crc32,
     )
-    daemon.active.reload(AUTO, 2 * BUDGET_MS, calibration)  # another budget: from the start
+    daemon.active.reload(
+        AUTO, 2 * BUDGET_MS, NETWORK, calibration
+    )  # another budget: from the start
     assert (daemon.profile, daemon.active.budget_ms) == (BEST, 2 * BUDGET_MS)
 
 
@@ -268,10 +270,23 @@ def test_a_fixed_profile_watches_nothing(calibration: Calibration) -> None:
     assert daemon.active.choices == tuple(PROFILES)
     daemon.frames(20, 2 * BUDGET_MS)
     assert (daemon.active.health(), daemon.stepped) == (None, [])
-    daemon.active.reload(CHEAPEST, None, calibration)
+    daemon.active.reload(CHEAPEST, None, NETWORK, calibration)
     assert daemon.active.reconstructor is not made
-    daemon.active.reload("paper", None, calibration)
+    daemon.active.reload("paper", None, NETWORK, calibration)
     assert daemon.profile == "paper"
+
+
+@pytest.mark.parametrize("choice", [AUTO, CHEAPEST])
+def test_a_reload_brings_the_outline_of_the_settings(calibration: Calibration, choice: str) -> None:
+    daemon = Daemon(calibration, choice, BUDGET_MS)
+    daemon.active.reload(choice, BUDGET_MS, KMEANS, calibration)
+    assert daemon.active.reconstructor.profile.outline == KMEANS
+    daemon.active.choose(LADDER[1])
+    assert daemon.active.reconstructor.profile.outline == KMEANS
+    daemon.active.use(calibration)
+    assert daemon.active.reconstructor.profile.outline == KMEANS
+    daemon.active.reload(choice, BUDGET_MS, NETWORK, calibration)
+    assert daemon.active.reconstructor.profile.outline == NETWORK
 
 
 def test_a_budget_that_the_fastest_does_not_keep_is_reported_once(

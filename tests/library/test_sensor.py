@@ -145,3 +145,17 @@ def test_a_notebook_shows_a_line_and_a_picture(sensor: ts.Sensor) -> None:
     assert not black.valid
     assert math.isnan(black.depth_max_mm)
     assert black.reason in repr(black)
+
+
+def test_the_outline_is_the_papers_if_it_is_asked_for(calibration: Path) -> None:
+    image = np.array(pressed("ball", 3.0).image)
+    by_network, by_heights = (
+        ts.load(calibration, outline=outline).reconstruct(image)
+        for outline in ("network", "kmeans")
+    )
+    np.testing.assert_array_equal(by_network.height_mm, by_heights.height_mm)
+    assert (by_network.contact != by_heights.contact).any()
+    with pytest.raises(
+        ts.ConfigError, match="outline: found 'otsu', expected one of network, kmeans"
+    ):
+        ts.load(calibration, outline="otsu")  # type: ignore[arg-type]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile
+from tacshade_edge.cli.shared.options import add_flag, add_option, add_outline, add_profile
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.profiles import profile_with
 from tacshade_edge.daemon.ledger import StageTimer
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
@@ -39,6 +39,7 @@ _SUMMARY = "summary.json"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "CAL.npz", "from `calibrate`", required=True)
     add_profile(parser)
+    add_outline(parser)
     add_option(
         parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True
     )
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"{path}: another image is also named {path.stem}; {why}")
         stems.add(path.stem)
     calibration = calibrations.load(args.calibration)
-    reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
+    reconstructor = make_reconstructor(calibration, profile_with(args.profile, args.outline))
     records, unreadable, invalid, progress, tiles, timer = (
         [],
         0,

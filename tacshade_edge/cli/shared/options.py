@@ -9,10 +9,10 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import urlsplit
 
-from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
+from tacshade_edge.core.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.version import how_to_install
 
@@ -73,6 +73,14 @@ def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None
     parser.add_argument(
         "--profile", type=_fixed, choices=sorted(PROFILES), default=default, help=text
     )
+
+
+def add_outline(parser: argparse.ArgumentParser) -> None:
+    text = (
+        "what separates the contact from the other skin: the network, or two means of the heights "
+        f"as in the paper, which `paper` always uses (default: {NETWORK})"
+    )
+    parser.add_argument("--outline", choices=get_args(Outline), default=NETWORK, help=text)
 
 
 def _fixed(text: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, skin_planes
+from tacshade_edge.core.profiles import KMEANS, NETWORK, Outline
 from tacshade_edge.types import (
     F32,
     F64,
@@ -91,11 +92,12 @@ class Objects:
     volume_mm3: float
 
 
-def contact_of(depth: Depth, inside: Bool) -> Bool:
-    """Cells where the skin touches an object: the solver's contact, else the paper's split of the heights as found
-    (clipped ones would all be equal for a great α), without untrusted cells.
+def contact_of(depth: Depth, inside: Bool, outline: Outline = NETWORK) -> Bool:
+    """Cells where the skin touches an object, without untrusted cells: the network's contact, or the
+    paper's split of the heights as found (clipped ones would all be equal for a great α), which also
+    serves a solver without a network.
     """
-    if depth.contact is None:
+    if depth.contact is None or outline == KMEANS:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
     else:
         contact = depth.contact

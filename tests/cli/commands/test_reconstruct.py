@@ -156,3 +156,15 @@ def test_a_damaged_calibration_is_one_line_and_78(
     assert main([*words(tmp_path, tmp_path / "out"), str(folder / "ball.png")]) == 78
     assert "cal.npz: the file is damaged or not a calibration" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_outline_is_the_papers_if_it_is_asked_for(folder: Path, tmp_path: Path) -> None:
+    areas = {}
+    for outline in ("network", "kmeans"):
+        out = tmp_path / outline
+        assert main([*words(folder, out, "ball", "free"), "--outline", outline]) == 0
+        records = summary(out)
+        assert not records["free"]["contact"]
+        (found,) = records["ball"]["objects"]
+        areas[outline] = found["area_mm2"]
+    assert areas["network"] != areas["kmeans"]
