@@ -21,8 +21,11 @@ from tacshade_edge.studies.evaluate.work import SensorName, family_of, press_cas
 from tacshade_edge.studies.tables import grouped, summary
 from tacshade_edge.types import Calibration, Frame
 from tools.studies import command
+from tools.testbed.simulator.families import FINAL_SENSORS
 
 SENSORS = "default,5,other:31,other:32"
+FINAL = FINAL_SENSORS[::3]
+"""One of each family: nothing was chosen by these figures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def text(found: Sequence[OutlineRow]) -> str:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the study."""
-    parser = command.options("The network's outline and the paper's.", SENSORS)
+    parser = command.options("The network's outline and the paper's.", SENSORS, FINAL)
     command.add_calibration(parser)
     args = parser.parse_args(words)
     command.check_presses(parser, args.presses)
