@@ -4,6 +4,9 @@ The mean of the touched skin's places in the reference, the imprint's place in t
 object holds its skin, and moves with the speed of the slip when it slides. Friction drags the skin in the direction of
 the slide: an imprint that moves over undragged skin, or against its drag, belongs to a contact that grows or shrinks on
 one side. Skin that goes back faster than its depth explains is being unloaded: else a shaken object would seem to slip.
+
+Two objects that touch may be one contact in some frames. An object that is joined to another keeps its number for when
+they part again, and no speed is measured across a change of parts, which moves every mean.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from operator import mul
+from operator import add, mul
 
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
@@ -47,7 +50,7 @@ def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
 _Seen = deque[tuple[int, float, float, float, float, float]]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Track:
     number: int
     seen: _Seen = field(
@@ -55,6 +58,29 @@ class _Track:
     )  # time, the imprint's place in the material, the contact's place, depth
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
+    extent_mm: tuple[float, float] = (0.0, 0.0)
+
+    def away_mm(self, touched: TouchedObject) -> float:
+        """Distance of an object from this one a frame ago; infinite if it is another object."""
+        away_mm = math.dist(self.at_mm, touched.centroid_mm[:2])
+        joined = _within(touched.centroid_mm, self) or _holds(touched, self)
+        return away_mm if away_mm <= REACH_MM or joined else math.inf
+
+
+def _within(place_mm: Sequence[float], track: _Track) -> bool:
+    """Whether a place lies in the box of an object a frame ago."""
+    return _in_box(place_mm, track.at_mm, track.extent_mm)
+
+
+def _holds(touched: TouchedObject, track: _Track) -> bool:
+    """Whether the place of an object a frame ago lies in the box of an object now."""
+    return _in_box(track.at_mm, touched.centroid_mm, touched.extent_mm)
+
+
+def _in_box(
+    place_mm: Sequence[float], middle_mm: Sequence[float], extent_mm: Sequence[float]
+) -> bool:
+    return all(abs(place_mm[k] - middle_mm[k]) < extent_mm[k] / 2 for k in range(2))
 
 
 class ContactTracker:
@@ -62,35 +88,63 @@ class ContactTracker:
 
     def __init__(self) -> None:
         self._tracks: list[_Track] = []
+        self._joined: list[_Track] = []  # parts of other objects now
         self._count = 0
 
     def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
         """Give a frame's objects, which have shear, a number that is never used again, slip, its speed (None until
         known).
         """
-        left, followed = list(self._tracks), []
+        left, followed = [*self._tracks, *self._joined], []
         for touched in objects:
-            track = min(
-                left, key=lambda one: math.dist(one.at_mm, touched.centroid_mm[:2]), default=None
-            )
-            if track is None or math.dist(track.at_mm, touched.centroid_mm[:2]) > REACH_MM:
+            track = min(left, key=lambda one: one.away_mm(touched), default=None)
+            if track is None or math.isinf(track.away_mm(touched)):
                 self._count += 1
                 track = _Track(self._count)
             else:
                 left.remove(track)
             followed.append(track)
+        pairs = list(zip(followed, objects, strict=True))
+        self._restart_parted(pairs)
+        self._join(left, pairs)
         self._tracks = followed
-        return tuple(
-            _followed(track, t_ns, touched)
-            for track, touched in zip(followed, objects, strict=True)
-        )
+        return tuple(_followed(track, t_ns, touched) for track, touched in pairs)
+
+    def _restart_parted(self, pairs: Sequence[tuple[_Track, TouchedObject]]) -> None:
+        """Forget the way of an object from which another has parted; both begin anew."""
+        for track, touched in pairs:
+            if track in self._tracks:
+                continue
+            for other, _ in pairs:
+                if other in self._tracks and _within(touched.centroid_mm, other):
+                    other.seen.clear()
+            track.seen.clear()
+
+    def _join(self, left: Sequence[_Track], pairs: Sequence[tuple[_Track, TouchedObject]]) -> None:
+        """Keep the objects of a frame ago whose places other objects have taken in, as parts of those, with which they
+        move. The other ones have ended.
+        """
+        joined = []
+        for part in left:
+            for track, touched in pairs:
+                if not _holds(touched, part):
+                    continue
+                if part in self._tracks:
+                    track.seen.clear()
+                else:
+                    by_mm = (touched.centroid_mm[k] - track.at_mm[k] for k in range(2))
+                    x_mm, y_mm = map(add, part.at_mm, by_mm)
+                    part.at_mm = (x_mm, y_mm)
+                joined.append(part)
+                break
+        self._joined = joined
 
 
 def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject:
     """Add a frame to a track."""
     shear_mm, depth_mm = touched.shear_mm, touched.depth_max_mm
     assert shear_mm is not None
-    track.at_mm = touched.centroid_mm[:2]
+    track.at_mm, track.extent_mm = touched.centroid_mm[:2], touched.extent_mm[:2]
     held = track.at_mm[0] - shear_mm[0], track.at_mm[1] - shear_mm[1]
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream

@@ -17,9 +17,11 @@ def contact(
     dragged_mm: float = 0.0,
     strain_mm: float = 0.0,
     depth_mm: float = 2.0,
+    extent_mm: float = 0.0,
 ) -> TouchedObject:
+    extents_mm = (extent_mm, extent_mm, 0.0)
     motion = {"shear_mm": (dragged_mm, 0.0), "strain_mm": strain_mm}
-    return TouchedObject(1, (x_mm, y_mm, 0.0), (0.0, 0.0, 0.0), depth_mm, 1.0, **motion)  # type: ignore[arg-type]
+    return TouchedObject(1, (x_mm, y_mm, 0.0), extents_mm, depth_mm, 1.0, **motion)  # type: ignore[arg-type]
 
 
 def followed(
@@ -36,6 +38,53 @@ def test_an_object_keeps_its_number_while_it_touches_and_none_is_used_again() ->
     assert [t.id for t in followed(tracker, contact(-6), contact(6.5), frame=3)] == [3, 2]
     assert followed(tracker, frame=4) == ()
     assert [t.id for t in followed(tracker, contact(6.5), frame=5)] == [4]
+
+
+def parted(apart_mm: float, x_mm: float = 0.0) -> tuple[TouchedObject, TouchedObject]:
+    """Two objects that touch, the larger first."""
+    return (
+        contact(x_mm - apart_mm / 2, dragged_mm=2.0, extent_mm=6.0),
+        contact(x_mm + apart_mm / 2, dragged_mm=2.0, extent_mm=5.0),
+    )
+
+
+def joined(apart_mm: float, x_mm: float = 0.0) -> TouchedObject:
+    """The same objects as one contact."""
+    return contact(x_mm, dragged_mm=2.0, extent_mm=apart_mm + 5.5)
+
+
+@pytest.mark.parametrize("apart_mm", [6.0, 12.0])
+@pytest.mark.parametrize("one_first", [False, True])
+def test_objects_that_are_one_contact_in_some_frames_keep_their_numbers_and_do_not_slip(
+    apart_mm: float, one_first: bool
+) -> None:
+    tracker, numbers = ContactTracker(), set()
+    for frame in range(40):
+        x_mm = 0.02 * frame
+        whole = frame % 3 == 0 if one_first else frame % 3 == 2
+        now = (joined(apart_mm, x_mm),) if whole else parted(apart_mm, x_mm)
+        found = followed(tracker, *now, frame=frame)
+        assert all(each.slip is not Slip.FULL for each in found)
+        if not whole:
+            numbers.add(tuple(each.id for each in found))
+    assert len(numbers) == 1
+    assert sorted(numbers.pop()) == [1, 2]
+
+
+def test_a_part_that_is_lifted_off_is_forgotten() -> None:
+    tracker = ContactTracker()
+    assert [t.id for t in followed(tracker, *parted(6.0))] == [1, 2]
+    assert len(followed(tracker, joined(6.0), frame=1)) == 1
+    assert followed(tracker, frame=2) == ()
+    assert [t.id for t in followed(tracker, *parted(6.0), frame=3)] == [3, 4]
+
+
+def test_a_part_moves_with_the_object_that_it_is_a_part_of() -> None:
+    tracker = ContactTracker()
+    assert [t.id for t in followed(tracker, *parted(12.0))] == [1, 2]
+    for frame in range(1, 30):
+        followed(tracker, joined(12.0, 0.4 * frame), frame=frame)
+    assert sorted(t.id or 0 for t in followed(tracker, *parted(12.0, 12.0), frame=30)) == [1, 2]
 
 
 def test_what_the_skin_goes_along_with_does_not_slip() -> None:
