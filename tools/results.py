@@ -73,7 +73,6 @@ PAGES = {
             "": f"{EVALUATE} {FIVE} --profile paper fast balanced accurate",
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
-            "The network's outline and two means": f"tools.studies.outline --final --objects {FIVE}",
         },
     ),
     "drag": Page({"": "tools.studies.drag --final"}),
