@@ -43,6 +43,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "turn images of the untouched skin and of ball presses into a calibration file",
     ),
     "reconstruct": ("reconstruct", "turn images into height maps, point clouds and a summary"),
+    "teach": ("teach", "learn an object by name from a few touches of it"),
+    "recognise": ("recognise", "name the taught objects that images show"),
     "record": ("record", "ask the running daemon to make a recording that `replay` can read"),
     "replay": (
         "replay",
