@@ -28,8 +28,8 @@ class Message:
         The rest of the topic, such as ``height`` or ``status/camera``.
     value : object
         A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`, `TouchNumbers`, `SlipEvent`,
-        `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; a string for ``state``, a JPEG's bytes
-        for ``preview``, a dict for other JSON.
+        `ContactEvent`, `ObjectEvent`, `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; a
+        string for ``state``, a JPEG's bytes for ``preview``, a dict for other JSON.
     retained : bool
         The broker had retained it from before this subscription.
     """

@@ -18,6 +18,7 @@ import msgspec
 
 from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES, profile_with
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
+from tacshade_edge.daemon.objects import ObjectEvents, TaughtObjects
 from tacshade_edge.daemon.observer import (
     FRAMES_SENT_S,
     LINK_STOPPED_S,
@@ -128,6 +129,9 @@ class App:
             self._sessions,
             self._publisher,
             ContactEvents(self.link.publish_event),
+            ObjectEvents(
+                self.link.publish_event, self.link.has_listener, robot.tell if robot else None
+            ),
         ]
         parts += [
             self._health,
@@ -155,6 +159,7 @@ class App:
         self._published_limit: Reason | None = None
         self._latest_health: dict[str, Any] = {}
         self._refused_ns: int | None = None  # st_mtime_ns of a calibration's file
+        self._taught = TaughtObjects(settings.calibration)
 
     def _make_robot(self, line: SharedLine | None) -> Robot | None:
         follows = line is not None and line.hears is not None
@@ -216,6 +221,8 @@ class App:
                 next_health_s = now_s + HEALTH_PERIOD_S
                 self._publish_health()
                 self._look_for_calibration()
+                if (known := self._taught.changed()) is not None:
+                    self._references.know(known)
                 self._service.tick(
                     self._published_camera or self._camera, self._latest_health["delivered_fps"]
                 )

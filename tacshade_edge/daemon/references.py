@@ -6,7 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.storage.atomic_files import FolderLock
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.storage.calibration.objects_file import Known
 from tacshade_edge.storage.calibration.reference_file import StoredReference
 from tacshade_edge.types import U8, Calibration, Frame, Need, Reconstruction
 
@@ -179,6 +180,19 @@ class References(FrameObserver):
         else:
             self._own_file()
             self._begin(restored(calibrated, path, self._unowned))
+
+    def know(self, known: Known) -> None:
+        """Use other taught objects, with the same reference."""
+        if isinstance(self._origin, Reason) or isinstance(self.calibration, Reason):
+            return
+        calibrated, first = self._origin.calibrated, self._origin.calibration
+        self._origin = replace(
+            self._origin,
+            calibrated=replace(calibrated, known=known),
+            calibration=replace(first, known=known),
+        )
+        self.calibration = taught = replace(self.calibration, known=known)
+        self._use(taught)
 
     def handle(self, reply: Reply) -> None:
         """Take a reference from the next frames."""

@@ -212,6 +212,10 @@ class Robot(FrameObserver):
             **self._touch.as_dict(),
         }
 
+    def tell(self, event: str) -> None:
+        """Send the robot an event; any thread may call it."""
+        self.commands.tell(event)
+
     def need(self) -> Need:
         """Depth while a capture waits, and touches while the robot has switched them on."""
         depth = Need.DEPTH if self.commands.capture_pending else Need.CONTACT

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -194,6 +195,9 @@ class TouchEvents:
         return TouchSeen(result.seq, result.t_ns, result.contact, numbers)
 
 
+TOLD_MAX = 16
+
+
 @dataclass(slots=True, eq=False)
 class SerialCommands:
     """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them."""
@@ -210,6 +214,7 @@ class SerialCommands:
     _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(
         default_factory=SimpleQueue
     )
+    _told: deque[str] = field(default_factory=partial(deque, maxlen=TOLD_MAX))
     _captures: FrameWaiters = field(
         default_factory=partial(FrameWaiters, "captures are already waiting")
     )
@@ -240,8 +245,15 @@ class SerialCommands:
             text = f"this daemon is not ready to {command.verb.lower()}"
             link.answer(command, Reason(ReasonCode.UNAVAILABLE, text))
 
+    def tell(self, event: str) -> None:
+        """Send an event to the robot; with `TOLD_MAX` waiting, the oldest is dropped."""
+        self._told.append(event)
+        self.wake()
+
     def send_answers(self, link: SerialLink) -> None:
-        """Give the link the answers since the last call; called in the serial thread."""
+        """Give the link the answers and events since the last call; called in the serial thread."""
+        while self._told:
+            link.notify(self._told.popleft())
         self._captures.expire(time.monotonic_ns())
         while True:
             try:

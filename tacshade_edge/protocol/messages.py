@@ -8,7 +8,14 @@ from dataclasses import fields
 from typing import Any
 
 from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.topics import Contact, Info, InfoGeometry, SlipEvent, TouchNumbers
+from tacshade_edge.protocol.topics import (
+    Contact,
+    Info,
+    InfoGeometry,
+    ObjectEvent,
+    SlipEvent,
+    TouchNumbers,
+)
 from tacshade_edge.protocol.wire_format import WIRE_VERSION
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import Calibration, Reconstruction, Touch, TouchedObject
@@ -100,6 +107,21 @@ def encode_slip(result: Reconstruction, sliding: TouchedObject) -> bytes:
         slip_mm_s=sliding.slip_mm_s,
     )
     return encode_json(slip)
+
+
+def encode_object(result: Reconstruction, named: TouchedObject) -> bytes:
+    """The ``event/object`` payload of an object that has a name."""
+    assert named.name is not None
+    assert named.probability is not None
+    event = ObjectEvent(
+        name=named.name,
+        probability=round(named.probability, 3),
+        label=named.label,
+        t_ns=result.t_ns,
+        seq=result.seq,
+        wall_ns=result.wall_ns,
+    )
+    return encode_json(event)
 
 
 def event_values(result: Reconstruction) -> dict[str, float]:

@@ -162,6 +162,18 @@ class SlipEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectEvent:
+    """``event/object``: the object `label` of the frame is the taught object `name`, this probably."""
+
+    name: _Key
+    probability: Annotated[float, Meta(ge=0, le=1)]
+    label: Count
+    t_ns: Count
+    seq: Count
+    wall_ns: Count = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ContactEvent:
     """``event/contact``: contact `id` has begun (``new``), goes on (``update``, once a second) or has ended.
 
@@ -439,6 +451,7 @@ OF_SENSORS: Final[dict[str, Topic]] = {
     "touch": _json(TouchNumbers, newest_wins=True),
     "event/slip": _json(SlipEvent),
     "event/contact": _json(ContactEvent),
+    "event/object": _json(ObjectEvent),
     "health": _json(Health, newest_wins=True),
     "info": _json(Info),
     "map/revision": _json(StitchedMap, newest_wins=True),
@@ -469,6 +482,7 @@ decode_contact = _decoder("contact", Contact)
 decode_touch = _decoder("touch", TouchNumbers)
 decode_slip = _decoder("event/slip", SlipEvent)
 decode_contact_event = _decoder("event/contact", ContactEvent)
+decode_object_event = _decoder("event/object", ObjectEvent)
 decode_health = _decoder("health", Health)
 decode_map = _decoder("map", StitchedMap)
 decode_hand = _decoder("objects", HandObjects)

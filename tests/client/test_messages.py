@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,9 @@ SENT: dict[str, bytes] = {
     "left/event/contact": encode_json(
         {"type": "end", "id": 3, "t_ns": 9, "start_ns": 1, "end_ns": 8, "slip": None}
     ),
+    "left/event/object": messages.encode_object(
+        PRESS, replace(PRESS.objects[0], name="nut_m8", probability=0.91234)
+    ),
     "left/info": messages.encode_info(
         version="1", config_digest="0", profile="fast", calibration=calibration()
     ),
@@ -103,6 +107,8 @@ def test_what_they_hold() -> None:
     )
     assert (contact.shear_x_mm, contact.shear_y_mm, contact.fps) == (0.5, 0.25, 60.0)
     assert (value["left/event/slip"].x_mm, value["left/event/slip"].slip_mm_s) == (0.5, 9.0)
+    named = value["left/event/object"]
+    assert (named.name, named.probability, named.label) == ("nut_m8", 0.912, 1)
     assert (value["left/status/camera"].state, value["left/status/camera"].reason_code) == (
         "away",
         "lost",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tacshade_edge.core.calibration.reference.references import bounds
@@ -27,7 +28,7 @@ from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
-from tacshade_edge.types import U8, Calibration, Frame, Need
+from tacshade_edge.types import U8, Calibration, Frame, KnownObject, Need
 from tools.testbed.painted_sensor import painted_calibration
 
 FPS = 10
@@ -299,3 +300,19 @@ def test_a_reference_is_taken_from_the_next_ten_frames_once(
     assert resting.take(pictures.touched).code is ReasonCode.FRAME_IN_CONTACT
     assert resting.take(pictures.black).code is ReasonCode.FRAME_INVALID
     assert (resting.changes, resting.references.need()) == (0, Need.CONTACT)
+
+
+def test_taught_objects_come_with_the_same_reference(tmp_path: Path) -> None:
+    used: list[Calibration] = []
+    calibration = painted_calibration()
+    made = References(calibration, tmp_path / "cal.reference.npz", "left", used.append)
+    known = {"fast": (KnownObject("nut", np.zeros((1, 3), np.float32)),)}
+    made.know(known)
+    (found,) = used
+    assert found.known == known
+    assert found.crc32 == calibration.crc32
+    assert made.calibration is found
+    made.stop()
+    nothing = References(Reason(ReasonCode.NOT_CALIBRATED, ""), tmp_path, "left", used.append)
+    nothing.know(known)
+    assert len(used) == 1

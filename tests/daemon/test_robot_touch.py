@@ -17,7 +17,7 @@ from tacshade_edge.daemon.robot import Robot
 from tacshade_edge.daemon.serial_line import TouchEvents
 from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.protocol.results import TouchSwitched
-from tacshade_edge.protocol.serial.commands import TouchAsked
+from tacshade_edge.protocol.serial.commands import TouchAsked, object_text
 from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
 from tacshade_edge.protocol.serial.line import seal
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -181,3 +181,10 @@ def test_at_most_so_many_a_second_and_all_of_a_slower_camera(
     asked_hz: int, frame_hz: float, jitter_s: float, expected: int
 ) -> None:
     assert len(rates(asked_hz, frame_hz, jitter_s)) == pytest.approx(expected, abs=2)
+
+
+def test_the_robot_hears_what_is_told_it() -> None:
+    with Bench() as bench:
+        bench.robot.tell(object_text(814, 120_034_567_890, "nut_m8", 0.91234))
+        assert bench.line() == "EVT OBJECT 814 120034567890 nut_m8 0.912"
+        assert bench.ask("help touch").startswith("OK 1 TOUCH")

@@ -369,3 +369,25 @@ def test_contacts_are_listed_newest_first(
     _, second, first = page.execute_script(rows)
     assert (second[0], second[2], second[3]) == ("2", "3.0", "1.50")
     assert (first[0], first[2], first[-1]) == ("1", "2.5", "slips")
+
+
+def test_taught_objects_are_named_until_the_contact_ends(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    page.get(f"{address}#drawn")
+    event = {"name": "nut_m8", "probability": 0.973, "label": 1, "t_ns": 1, "seq": 1}
+    bad = ({"name": "<b>"}, {"name": 7}, {"probability": 2}, {"label": "x"})
+
+    def named() -> str:
+        for more in ({}, *bad, {"name": "key", "label": 2, "probability": 0.5}):
+            sensor.publish("event/object", codec.encode_json(event | more))
+        found = page.find_element(By.ID, "n-name")
+        return found.text if found.is_displayed() else ""
+
+    wait_until(lambda: named() == "nut_m8 97 %, key 50 %", 15, "the names")
+
+    def unnamed() -> bool:
+        sensor.publish("contact", codec.encode_json({"t_ns": 2, "seq": 2, "contact": 0}))
+        return page.find_element(By.ID, "n-name").text == ""
+
+    wait_until(unnamed, 15, "no name")

@@ -6,6 +6,7 @@ const BYTES_MAX = 1 << 20, DEPTH_MAX = 6;
 const SIDE_MAX = 4096, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
 const OBJECTS_MAX = 64, QUANTITIES_MAX = 32, QUANTITY_MAX = 1e6;
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
+const OBJECT = /^[A-Za-z0-9_.-]{1,64}$/;
 const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
 const GEOMETRY = { // minimum and maximum; a camera without a distance is orthographic
@@ -70,6 +71,14 @@ export function checkEvent(event) {
   const { type, ...numbers } = event;
   if (![event.id, event.t_ns, event.start_ns].every(Number.isFinite) || (type === "end" && !Number.isFinite(event.end_ns))) throw new Error("not a contact event");
   if (!Object.values(numbers).every((value) => value === null || Number.isFinite(value))) throw new Error("not numbers");
+  return event;
+}
+
+/** An `event/object`: a name, and how probable it is. */
+export function checkObject(event) {
+  const { name, probability, label } = event;
+  if (typeof name !== "string" || !OBJECT.test(name) || !Number.isFinite(label)) throw new Error("not an object's name");
+  within({ probability }, { probability: [0, 1] });
   return event;
 }
 

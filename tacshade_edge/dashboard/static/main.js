@@ -1,6 +1,6 @@
 // The page: the sensors, the data of the chosen one, and when to draw it.
 
-import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkPart, checkTouch, cut, read } from "./bounds.js";
+import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkObject, checkPart, checkTouch, cut, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
@@ -19,7 +19,7 @@ import { commandRecordings, updateRecording } from "./record.js";
 import { Recordings } from "./recordings.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
-import { showContact, showRates } from "./tiles.js";
+import { showContact, showNames, showRates, withName } from "./tiles.js";
 import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
@@ -29,7 +29,7 @@ const FULL_SLIP = 2;
 const UNLISTED = "paper"; // far slower and less exact: a study's baseline, still chosen by request
 const WHOLE = "#hand/"; // in an address, before the hand's id
 const MAP_MS = 60000; // a board takes seconds for the final map of a thousand presses
-const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "event/contact", "health", "preview", "status/+", "res/+", "map/+"];
+const STREAMS = ["height", "cloud", "shear", "sigma", "contact", "event/contact", "event/object", "health", "preview", "status/+", "res/+", "map/+"];
 const READ_ONLY = "readOnly" in document.documentElement.dataset; // the server forwards no requests
 const $ = (id) => document.getElementById(id);
 const text = new TextDecoder();
@@ -63,7 +63,7 @@ link.subscribe("tacshade/+/state", "tacshade/+/info", "tacshade/hand/+/state");
 /** All data of the chosen sensor. */
 function emptyView() {
   return {
-    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), lived: [], numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
+    height: null, cloud: null, shear: null, sigma: null, map: null, mapPayload: null, mapCloud: null, about: {}, contact: null, contacts: new Map(), lived: [], named: [], numbers: null, touches: new Map(), touch: null, touch_ms: 0, with_map: {}, shown_ms: 0, health: null, parts: new Map(), heard_ms: null, health_ms: null, chosen_ms: performance.now(), height_ms: 0, age_ms: null,
   };
 }
 
@@ -94,6 +94,7 @@ function takeChosen(what, payload, retained) {
   } else if (what === "contact") {
     json(payload, (contact) => {
       keepContact(view, contact);
+      if (contact.contact === 0 && view.named.length) showNames(view.named = []);
       view.heard_ms = performance.now();
       chart.add(contact.depth_max_mm ?? null, contact.slip === FULL_SLIP);
       rezero.heard(contact);
@@ -101,6 +102,11 @@ function takeChosen(what, payload, retained) {
     }, checkContact);
   } else if (what === "event/contact") {
     json(payload, (event) => showContacts(view.lived = withEvent(view.lived, event)), checkEvent);
+  } else if (what === "event/object") {
+    json(payload, (event) => {
+      view.named = withName(view.named, event);
+      showNames(view.named);
+    }, checkObject);
   } else if (what === "touch") {
     json(payload, (numbers) => {
       keep(view.touches, numbers);
@@ -235,6 +241,7 @@ function choose(sensor) {
   touch.choose(sensor);
   showContact(null);
   showContacts(view.lived);
+  showNames(view.named);
   showParts(view.parts);
   showTabs();
   updateState();

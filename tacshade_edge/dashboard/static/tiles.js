@@ -2,6 +2,7 @@
 
 import { counted, number } from "./panels.js";
 
+const NAMES_MAX = 4;
 const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
 
 export function showContact(contact) {
@@ -13,6 +14,17 @@ export function showContact(contact) {
   put("n-area", number(contact?.area_mm2, 1));
   put("n-volume", number(contact?.volume_mm3, 1));
   put("n-place", free ? "none" : Number.isFinite(contact?.x_mm) ? `${number(contact.x_mm, 1)}, ${number(contact.y_mm, 1)} mm` : "");
+}
+
+/** Add an `event/object` to the names of this contact's objects; each label has one. */
+export function withName(named, event) {
+  return [...named.filter(({ label }) => label !== event.label), event].slice(-NAMES_MAX);
+}
+
+/** The tile appears with the first name: who teaches nothing needs none. */
+export function showNames(named) {
+  if (named.length) document.getElementById("named").hidden = false;
+  put("n-name", named.map(({ name, probability }) => `${name} ${number(100 * probability)} %`).join(", "));
 }
 
 export function showRates(health) {

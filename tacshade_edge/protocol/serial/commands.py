@@ -94,6 +94,11 @@ class TouchSeen:
         )
 
 
+def object_text(seq: int, t_ns: int, name: str, probability: float) -> str:
+    """The event that names an object."""
+    return f"OBJECT {seq} {t_ns} {name} {probability:.3f}"
+
+
 # -- the arguments ----------------------------------------------------------------------------------------------------
 
 
