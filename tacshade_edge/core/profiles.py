@@ -42,7 +42,7 @@ PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile(
-            "paper", "hybrid_sfs", stride_px=1, window_pitches=2, tv_weight=0.1, outline=KMEANS
+            "paper", "hybrid_sfs", stride_px=4, window_pitches=2, tv_weight=0.1, outline=KMEANS
         ),
         replace(_LEARNED, name="fast", network="fast", halved=True, cells=56),
         replace(_LEARNED, name="balanced", network="balanced", halved=True),

@@ -10,11 +10,13 @@ import pytest
 from scipy.ndimage import median_filter
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
-from tacshade_edge.core.depth import hybrid_sfs
+from tacshade_edge.core.depth.hybrid_iteration import EPS, ITERATIONS, HybridIteration
+from tacshade_edge.core.depth.hybrid_sfs import hybrid_depth
 from tacshade_edge.core.image.greyscale import shape_grey
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.types import F64, Bool
+from tools.testbed.hybrid_sfs_oracle import hybrid_sfs
 
 pytestmark = pytest.mark.slow
 CELLS = 64
@@ -36,9 +38,7 @@ def press() -> tuple[F64, Bool]:
 
 @cache
 def after(iterations: int) -> F64:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hybrid_sfs, "ITERATIONS", iterations)
-        return hybrid_sfs.hybrid_sfs(press()[0])[0]
+    return hybrid_sfs(press()[0], iterations)[0]
 
 
 def backward(z: npt.NDArray[np.inexact], axis: int) -> npt.NDArray[np.inexact]:
@@ -84,15 +84,15 @@ def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> No
     assert max(abs(like[n]) for n in (1, 2, 5)) < 0.5  # before that, it is not even that
     # It does not converge: each iteration adds g / eps.
     assert after(100)[inside].max() > 3 * after(25)[inside].max()
-    per_grey = float(np.polyfit(smooth, after(25)[inside], 1)[0]) * hybrid_sfs.EPS
+    per_grey = float(np.polyfit(smooth, after(25)[inside], 1)[0]) * EPS
     print(f"figure: eq. 11, a press, 25 iterations: |Z| is {per_grey:.1f} g / eps")
-    assert 15 < per_grey <= hybrid_sfs.ITERATIONS
+    assert 15 < per_grey <= ITERATIONS
 
 
 def test_without_a_gate_noise_becomes_a_full_height_object() -> None:
     """Eq. 10's normalisation stretches whatever there is to 0 to 1."""
     seen = maps(touched=False)
-    height = hybrid_sfs.hybrid_depth(seen, 3.0).height_mm
+    height = hybrid_depth(seen, 3.0, HybridIteration(seen.inside.shape)).height_mm
     change, true_change = (float(np.abs(m.g_d[m.inside]).max()) for m in (seen, maps()))
     print(
         f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): {height.max():.1f} mm of 3"

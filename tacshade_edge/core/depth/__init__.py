@@ -15,7 +15,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 
 SOLVERS: dict[str, Callable[[Preprocessor, Network | None], HybridSfs | LearnedSolver]] = {
     "hybrid_sfs": HybridSfs,
-    "shape_grey": partial(HybridSfs, unit_height=unit_by_grey),
+    "shape_grey": partial(HybridSfs, make_unit=lambda shape: unit_by_grey),
     "learned": LearnedSolver,
 }
 
