@@ -7,6 +7,7 @@ import os
 import socket
 import time
 
+from tacshade_edge import libsystemd
 from tacshade_edge.daemon.observer import SourceState
 from tacshade_edge.daemon.pipeline import Grab, Reconstruct
 from tacshade_edge.quoting import escaped
@@ -71,16 +72,24 @@ def notify_stopping() -> None:
 
 
 def notify(*lines: str) -> None:
-    """Send lines of ``NAME=value`` to the service manager, if there is one."""
+    """Send lines of ``NAME=value`` to the service manager, if there is one: by python3-systemd if that is installed."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
-    message = "\n".join(
-        map(escaped, lines)
-    ).encode()  # a line end in a reason would begin another message
+    message = "\n".join(map(escaped, lines))  # a line end in a reason would begin another message
+    library = libsystemd.module("daemon")
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.settimeout(_SEND_S)
-            sender.sendto(message, f"\0{address[1:]}" if address.startswith("@") else address)
+        if library is None:
+            _send(address, message)
+        elif libsystemd.has_room(address, _SEND_S):
+            library.notify(message)
+        else:
+            raise TimeoutError("timed out")
     except OSError as error:
         _log.warning("cannot notify the service manager: %s", error.strerror or error)
+
+
+def _send(address: str, message: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.settimeout(_SEND_S)
+        sender.sendto(message.encode(), libsystemd.path_of(address))

@@ -95,6 +95,7 @@ def test_texts_without_end_are_bounded_and_hide_no_other_format() -> None:
 
 LOGS = """
 import argparse, logging, sys
+sys.modules["systemd"] = None  # tests/cli/test_journal.py has the package
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 parser = argparse.ArgumentParser()
 add_verbosity(parser)
@@ -119,13 +120,14 @@ def logged(*words: str, journal: bool = False) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_journal_gets_no_second_time_stamp_and_a_word_more_or_less() -> None:
-    assert logged(journal=True) == ["INFO test: said", "WARNING test: said"]
+def test_the_journal_gets_priorities_for_time_stamps_and_a_word_more_or_less() -> None:
+    assert logged(journal=True) == ["<6>INFO test: said", "<4>WARNING test: said"]
     stamp = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d"
     for line, said in zip(logged(), ("INFO test: said", "WARNING test: said"), strict=True):
         assert re.fullmatch(f"{stamp} {said}", line)
-    assert [line.split()[0] for line in logged("-v", journal=True)] == ["DEBUG", "INFO", "WARNING"]
-    assert [line.split()[0] for line in logged("-q", journal=True)] == ["WARNING"]
+    words = [line.split()[0] for line in logged("-v", journal=True)]
+    assert words == ["<7>DEBUG", "<6>INFO", "<4>WARNING"]
+    assert [line.split()[0] for line in logged("-q", journal=True)] == ["<4>WARNING"]
 
 
 class Terminal(io.StringIO):

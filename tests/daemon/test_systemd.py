@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,9 @@ from typing import Any
 import pytest
 from support.running_app import GONE, Running, paced
 
+from tacshade_edge import libsystemd
 from tacshade_edge.daemon import app as app_module
+from tacshade_edge.daemon import systemd
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.observer import FrameObserver, FrameResult
@@ -231,8 +235,63 @@ def test_a_hung_step_is_no_progress_even_while_a_lost_camera_is_tried(
         thread.join(patience(10))
 
 
+@pytest.fixture(params=["libsystemd", "a socket"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """With systemd-python, and without it."""
+    with_library: bool = request.param == "libsystemd"
+    if with_library and importlib.util.find_spec("systemd") is None:
+        pytest.skip("systemd-python is not installed")
+    if not with_library:
+        monkeypatch.setitem(sys.modules, "systemd.daemon", None)
+    libsystemd.module.cache_clear()
+    assert (libsystemd.module("daemon") is not None) is with_library
+    yield request.param
+    libsystemd.module.cache_clear()
+
+
+def test_a_message_is_one_datagram_whose_values_stay_on_their_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(patience(5))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        notify("READY=1", "STATUS=away\nWATCHDOG=1")
+        assert manager.recv(4096).decode() == "READY=1\nSTATUS=away\\nWATCHDOG=1"
+
+
+def test_a_name_in_the_abstract_namespace(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("")
+        manager.settimeout(patience(5))
+        monkeypatch.setenv("NOTIFY_SOCKET", f"@{manager.getsockname()[1:].decode()}")
+        notify("WATCHDOG=1")
+        assert manager.recv(4096) == b"WATCHDOG=1"
+
+
+def test_a_manager_that_does_not_read_is_reported_and_no_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, way: str
+) -> None:
+    monkeypatch.setattr(systemd, "_SEND_S", 0.05)
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as others,
+    ):
+        manager.bind(str(tmp_path / "notify"))
+        others.connect(str(tmp_path / "notify"))
+        others.setblocking(False)
+        with suppress(BlockingIOError):
+            while others.send(b"X_FULL=1"):
+                pass
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        notify("WATCHDOG=1")
+    assert [r.getMessage() for r in caplog.records] == [
+        "cannot notify the service manager: timed out"
+    ]
+
+
 def test_a_manager_that_is_gone_is_reported_and_no_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, way: str
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     notify("READY=1")

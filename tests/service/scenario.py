@@ -216,7 +216,13 @@ def package_upgrades() -> dict[str, Any]:
         "config": CONFIG.read_text(),
         "proposed": proposed,
     }
+    CONFIG.write_text("profile: slow\n" + GOOD)
+    sh("systemctl", "reload", UNIT)
+    until(lambda now: "rejected" in now["StatusText"], 10)
+    CONFIG.write_text(GOOD)
+    sh("journalctl", "--sync")
     seen |= {
+        "warnings": sh("journalctl", "--unit", UNIT, "--priority=warning", "--output=json")[1],
         "changed": sh("dpkg", "--verify", "tacshade-edge")[1],
         "version": sh("tacshade-edge", "--version"),
     }

@@ -4,6 +4,7 @@ by scene.
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -295,6 +296,18 @@ def test_an_upgrade_restarts_it_with_its_settings_and_its_calibration(
     assert upgrades["dropped"] == []
     changed = [line.split()[-1] for line in upgrades["changed"].splitlines()]
     assert changed == ["/etc/tacshade-edge/config.yaml"]
+
+
+def test_the_journal_has_priorities_and_with_the_package_fields(
+    package: Path, seen: dict[str, Any]
+) -> None:
+    lines = seen["package_upgrades"]["warnings"].splitlines()
+    of_clone, of_package = [
+        entry for entry in map(json.loads, lines) if "rejected the reload" in entry["MESSAGE"]
+    ]
+    assert of_clone["PRIORITY"] == of_package["PRIORITY"] == "4"
+    assert of_package["SENSOR_ID"] == "tacshade"
+    assert of_package["CODE_FILE"].endswith("/tacshade_edge/daemon/app.py")
 
 
 def test_one_installation_refuses_the_other(package: Path, seen: dict[str, Any]) -> None:

@@ -49,7 +49,7 @@ Maintainer: tacshade-edge <root@localhost>
 Section: science
 Priority: optional
 Installed-Size: {size_kib}
-Depends: python3 (>= {python}~), python3 (<< {next}~), systemd, libc6 (>= 2.28), libstdc++6, libgcc-s1, zlib1g
+Depends: python3 (>= {python}~), python3 (<< {next}~), python3-systemd, systemd, libc6 (>= 2.28), libstdc++6, libgcc-s1, zlib1g
 Recommends: mosquitto
 Description: tactile sensor TacShade: camera to height maps over MQTT
  A daemon that turns the camera images of a TacShade, a soft optical tactile
@@ -163,6 +163,8 @@ def environment(app: Path, wheel: Path, machine: str, python: str) -> None:
     zipfile.ZipFile(wheel).extractall(packages)  # an installer would note where and when
     (packages / ".lock").unlink(missing_ok=True)
     shutil.rmtree(packages / "bin", ignore_errors=True)
+    # Of the environment's Python too, which sees no other package of Debian's.
+    (packages / "systemd").symlink_to("/usr/lib/python3/dist-packages/systemd")
     (app / "bin").mkdir()
     (app / "bin/python3").symlink_to("/usr/bin/python3")
     (app / "bin/python").symlink_to("python3")

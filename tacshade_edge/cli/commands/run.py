@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     documents = load_all(args.config)
     if not documents[0].several:
+        start_logging(args.log_level, documents[0].settings.sensor_id, each_line=False)
         gc.freeze()  # the collector would search all modules while a frame waits
         return _run_sensor(documents[0])
     from tacshade_edge.daemon import hand as hand_process  # only a hand or several sensors need it

@@ -9,11 +9,17 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final, TextIO
 
+from tacshade_edge import libsystemd
 from tacshade_edge.quoting import escaped
+
+_JOURNAL: Final = "/run/systemd/journal/socket"
+_ROOM_S: Final = 0.1
+"""How long a message waits for room in the journal's queue before it goes the way of stderr."""
 
 AT_ONCE: Final = 10
 PERIOD_S: Final = 10.0
@@ -48,11 +54,21 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(log_level=logging.INFO)
 
 
-def start_logging(level: int, sensor_id: str = "") -> None:
-    """Log to stderr, with time stamps unless the journal adds them and with `sensor_id`, if given, in each line."""
-    logging.basicConfig(
-        level=level, handlers=[OneLineHandler(stamped=not _is_journal(), of=sensor_id)], force=True
-    )
+def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) -> None:
+    """Log to stderr, with time stamps unless the journal adds them; with `sensor_id`, if given, in each line.
+
+    The journal gets a message's priority, place and SENSOR_ID as fields if python3-systemd is installed, else its
+    priority alone.
+    """
+    handler: logging.Handler
+    of = sensor_id if each_line else ""
+    if not _is_journal():
+        handler = OneLineHandler(stamped=True, of=of)
+    elif library := libsystemd.module("journal"):
+        handler = FieldsHandler(library.send, of=of, sensor_id=sensor_id)
+    else:
+        handler = OneLineHandler(prioritised=True, of=of)
+    logging.basicConfig(level=level, handlers=[handler], force=True)
     # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
         logging.getLogger(name).setLevel(max(level, logging.INFO))
@@ -124,12 +140,16 @@ class Limit:
 
 
 class OneLineHandler(logging.StreamHandler[TextIO]):
-    """Writes ``LEVEL name: message`` to stderr, after the time if `stamped`; `of` is a word before the message."""
+    """Writes ``LEVEL name: message`` to stderr; `of` is a word before the message.
 
-    def __init__(self, *, stamped: bool = False, of: str = "") -> None:
+    Before it comes the time if `stamped`, or if `prioritised` a priority as the journal reads it (sd-daemon(3)).
+    """
+
+    def __init__(self, *, stamped: bool = False, prioritised: bool = False, of: str = "") -> None:
         super().__init__()
         head = ("%(asctime)s " if stamped else "") + "%(levelname)s %(name)s: "
-        self.setFormatter(_Escaping(f"{head}{of}: %(message)s" if of else f"{head}%(message)s"))
+        form = f"{head}{of}: %(message)s" if of else f"{head}%(message)s"
+        self.setFormatter(_Prioritising(form) if prioritised else _Escaping(form))
         self._limit = Limit()
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -139,7 +159,11 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
             "#", record.getMessage()[:_TEXT_CHARS_MAX]
         )  # without counts and measurements
         if self._limit.passes((record.name, str(record.msg), said), now_s):
-            super().emit(record)
+            self.write(record)
+
+    def write(self, record: logging.LogRecord) -> None:
+        """Write a message that is not one too many."""
+        logging.StreamHandler.emit(self, record)
 
     def close(self) -> None:
         self._report(time.monotonic(), all_of_them=True)
@@ -148,9 +172,46 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
         for name, message, count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
             text = "left out %d more lines like this: %s"
-            super().emit(
+            self.write(
                 logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None)
             )
+
+
+class FieldsHandler(OneLineHandler):
+    """Sends the same messages to the journal, each as one entry with fields (systemd.journal-fields(7)).
+
+    A journal that does not read gets them as lines, by stderr.
+    """
+
+    def __init__(self, send: Callable[..., None], *, of: str, sensor_id: str) -> None:
+        super().__init__(prioritised=True, of=of)
+        self._send = send
+        self._entry = OneLineHandler(of=of)
+        self._fields = {"SYSLOG_IDENTIFIER": "tacshade-edge"}
+        self._fields |= {"SENSOR_ID": sensor_id} if sensor_id else {}
+
+    def write(self, record: logging.LogRecord) -> None:
+        place = {
+            "PRIORITY": str(priority_of(record.levelno)),
+            "CODE_FILE": record.pathname,
+            "CODE_LINE": record.lineno,
+            "CODE_FUNC": record.funcName or "",
+            "LOGGER": record.name,
+            "THREAD_NAME": record.threadName or "",
+        }
+        try:
+            if libsystemd.has_room(_JOURNAL, _ROOM_S):
+                self._send(self._entry.format(record), **place, **self._fields)
+                return
+        except OSError:
+            pass  # no journal there, or an entry that it does not take
+        super().write(record)
+
+
+def priority_of(level: int) -> int:
+    """The priority of a level (syslog(3)): 2 critical, 3 error, 4 warning, 6 info, 7 debug."""
+    limits = (logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6)
+    return next((priority for least, priority in limits if level >= least), 7)
 
 
 class _Escaping(logging.Formatter):
@@ -165,3 +226,9 @@ class _Escaping(logging.Formatter):
     def formatException(self, ei: object) -> str:
         lines = super().formatException(ei).split("\n")  # type: ignore[arg-type]
         return "\n".join(f"    {escaped(line)}" for line in lines)
+
+
+class _Prioritising(_Escaping):
+    def format(self, record: logging.LogRecord) -> str:
+        lines = super().format(record).split("\n")
+        return "\n".join(f"<{priority_of(record.levelno)}>{line}" for line in lines)

@@ -266,6 +266,8 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
     """The circle of the area of the largest region with more texture than a part of Otsu's threshold (1979), and one
     through its rim if the image cuts it; None if it is too small.
     """
+    from skimage import measure  # a daemon that takes no reference does not need it
+
     scale = max(min(grey.shape) / _SEARCH_ROWS, 1.0)
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA).astype(
         np.float32
@@ -276,14 +278,11 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
     split, _ = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     _, mask = cv2.threshold(level, part * split, 1, cv2.THRESH_BINARY)
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    if count < 2:
+    regions = measure.regionprops(measure.label(mask, connectivity=1))
+    if not regions:
         return None
-    best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    contours, _ = cv2.findContours(
-        (labels == best).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    hull = cv2.convexHull(max(contours, key=cv2.contourArea))
+    places = max(regions, key=lambda region: region.area).coords
+    hull = cv2.convexHull(places[:, ::-1].astype(np.int32))
     area = cv2.contourArea(hull)
     moments = cv2.moments(hull)
     if area < 0.02 * small.size or moments["m00"] == 0:
@@ -298,19 +297,18 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
 def _circle_through_rim(
     hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0
 ) -> Disc | None:
-    """Circle by least squares (I. Kåsa, 1976) through the hull's corners (row, col) off the border; None if not cut."""
+    """Circle by least squares through the hull's corners (row, col) off the border; None if not cut."""
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
     rim = hull[from_border > border_px]
     if from_border.min() > border_px or len(rim) < _RIM_CORNERS:
         return None
-    unknowns = np.column_stack((2 * rim, np.ones(len(rim))))
-    (row, col, rest), *_ = np.linalg.lstsq(unknowns, (rim * rim).sum(axis=1), rcond=None)
-    square = rest + row * row + col * col
-    return (
-        Disc(float(row) * scale, float(col) * scale, float(np.sqrt(square)) * scale)
-        if square > 0
-        else None
-    )
+    from skimage.measure import CircleModel  # 10 MB, which whole images do not need
+
+    circle = CircleModel.from_estimate(rim)
+    if not circle:
+        return None
+    row, col = circle.center
+    return Disc(float(row) * scale, float(col) * scale, float(circle.radius) * scale)
 
 
 def _width(disc: Disc) -> int:
