@@ -15,6 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 WEIGHTS = ROOT / "tacshade_edge/inference/weights"
 GOLDEN = ROOT / "tests/golden"
+NETWORKS = ("fast", "balanced", "accurate")
 PARTS = ("networks", "golden results", "program")
 """What a fingerprint is made of, in this order."""
 DIGITS = 5
@@ -28,14 +29,18 @@ FOLLOWED = (
 """A program's imports from here belong to it; what else it imports is pinned by the golden results."""
 
 
-def fingerprint(programs: Iterable[str], folders: Iterable[str] = ()) -> str:
-    """Fingerprint modules with what they import from `FOLLOWED`, and whole folders of code."""
+def fingerprint(
+    programs: Iterable[str], folders: Iterable[str] = (), profiles: Iterable[str] = NETWORKS
+) -> str:
+    """Fingerprint modules with what they import from `FOLLOWED`, whole folders of code, and profiles."""
     code = imported(programs)
     for folder in folders:
         code |= set((ROOT / folder).rglob("*.py"))
+    golden = [GOLDEN / "replay.json"]
+    golden += [GOLDEN / f"profiles/{name}.json" for name in ("simulator", *profiles)]
     parts = (
         _digest((path, _bytes_of(path)) for path in WEIGHTS.iterdir()),
-        _digest((path, _bytes_of(path)) for path in GOLDEN.glob("*.json")),
+        _digest((path, _bytes_of(path)) for path in golden),
         _digest((path, tree_of(path)) for path in code),
     )
     return "-".join(parts)

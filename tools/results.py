@@ -30,7 +30,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.fingerprint import changed, fingerprint
+from tools.fingerprint import NETWORKS, changed, fingerprint
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"
@@ -53,18 +53,19 @@ JUDGES = ("tacshade_edge/core/frame_check",)
 class Page:
     """The commands of a page (modules and their arguments) by heading; the first has none.
 
-    `code` names folders that decide its figures beside its own programs and the golden results. `drawn` are pictures
-    that the first command writes into `--out`.
+    `profiles` are those that it shows. `code` names folders that decide its figures beside its own programs and the
+    golden results. `drawn` are pictures that the first command writes into `--out`.
     """
 
     commands: dict[str, str]
+    profiles: tuple[str, ...] = NETWORKS
     code: tuple[str, ...] = ()
     idle: bool = False
     drawn: tuple[str, ...] = ()
 
     def fingerprint(self) -> str:
         """Fingerprint what decides the page's figures now."""
-        return fingerprint(map(program_of, self.commands.values()), self.code)
+        return fingerprint(map(program_of, self.commands.values()), self.code, self.profiles)
 
 
 PAGES = {
@@ -74,6 +75,7 @@ PAGES = {
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
         },
+        profiles=("paper", *NETWORKS),
     ),
     "drag": Page({"": "tools.studies.drag --final"}),
     "sigma": Page({"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"}),
@@ -136,7 +138,7 @@ PAGES = {
         code=("tacshade_edge/core/touch",),
         drawn=("touch.png",),
     ),
-    "arm": Page({"": "tools.ci.run_arm --count-only"}, code=FRAME),
+    "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),
     "faults": Page({"": "tools.faults table"}, code=SERVED),
 }
 OLDER = (

@@ -4,8 +4,8 @@ After a change that is meant to move the figures::
 
     PYTHONPATH=tests .venv/bin/python -m support.golden_profiles
 
-writes tests/golden/profiles.json anew; look at its diff before committing it. Most pages of docs/results are stale
-then: see tools/results.py.
+writes tests/golden/profiles anew, a file for the simulator and each profile; look at the diff before committing it.
+Pages of docs/results that have such a profile are stale then: see tools/results.py.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame
 from tacshade_edge.types import Reconstruction
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "profiles.json"
+GOLDEN = Path(__file__).parents[1] / "golden" / "profiles"
 DEPTHS_MM = (1.0, 1.5, 2.0)
 FARTHEST_MM = 2.5
 SEED = 6100
@@ -51,20 +51,23 @@ def presses() -> Iterator[tuple[str, SimulatedFrame]]:
         yield name, simulated(HALF).frame((press,), SEED + k)
 
 
-def figures() -> list[dict[str, Any]]:
-    """A record of each press, of the simulator, and of each profile's result."""
-    records: list[dict[str, Any]] = []
+Records = list[dict[str, Any]]
+
+
+def figures() -> dict[str, Records]:
+    """A record of each press: of the simulator, and of each profile's result."""
+    records: dict[str, Records] = {name: [] for name in ("simulator", *PROFILES)}
     for k, (name, frame) in enumerate(presses()):
         image = {
             "mean": round(float(frame.image.mean()), 3),
             "spread": round(float(frame.image.std()), 3),
             "true_depth_mm": round(float(frame.skin.height_mm.max()), 4),
         }
-        records.append({"object": name, "of": "simulator", **image})
+        records["simulator"].append({"object": name, **image})
         for profile in PROFILES:
             if profile != "paper" or k % FEW == 0:
                 result = step(profile, frame.image)
-                records.append({"object": name, "of": profile, **of_result(result)})
+                records[profile].append({"object": name, **of_result(result)})
     return records
 
 
@@ -85,8 +88,10 @@ def of_result(result: Reconstruction) -> dict[str, Any]:
 
 
 def regenerate() -> None:
-    lines = ",\n".join(json.dumps(record) for record in figures())
-    GOLDEN.write_text(f"[\n{lines}\n]\n")
+    GOLDEN.mkdir(exist_ok=True)
+    for name, records in figures().items():
+        lines = ",\n".join(json.dumps(record) for record in records)
+        (GOLDEN / f"{name}.json").write_text(f"[\n{lines}\n]\n")
 
 
 if __name__ == "__main__":

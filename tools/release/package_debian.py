@@ -49,7 +49,8 @@ Maintainer: tacshade-edge <root@localhost>
 Section: science
 Priority: optional
 Installed-Size: {size_kib}
-Depends: python3 (>= {python}~), python3 (<< {next}~), python3-systemd, systemd, libc6 (>= 2.28), libstdc++6, libgcc-s1, zlib1g
+Depends: python3 (>= {python}~), python3 (<< {next}~), python3-systemd, systemd, \
+libc6 (>= 2.28), libstdc++6, libgcc-s1, zlib1g
 Recommends: mosquitto
 Description: tactile sensor TacShade: camera to height maps over MQTT
  A daemon that turns the camera images of a TacShade, a soft optical tactile
