@@ -213,7 +213,12 @@ class Reconstructor:
         objects = None
         if changed_part >= self.gate_part:
             objects = find_objects(
-                contact, height_mm, shear_mm, self.rays, self.calibration.geometry
+                contact,
+                height_mm,
+                shear_mm,
+                self.rays,
+                self.calibration.geometry,
+                depth.contact_logit,
             )
         mark("cloud")
         if objects is None:

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from tacshade_edge.core.contact.objects import find_objects
+from tacshade_edge.core.contact.objects import objects_of
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.geometry.disc import Grid, cells_that_see, disc_rays
+from tacshade_edge.core.geometry.disc import Grid, disc_rays, labels_by_cell
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.protocol.topics import (
@@ -168,15 +168,16 @@ class FrameAssembler:
 def _touched(
     message: HeightMessage, cloud: ObjectCloud, shear_mm: F32 | None, geometry: Geometry
 ) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
-    """The height map, its objects and their volume in mm³; the contact is found from its points, one per cell."""
+    """The height map, its objects and their volume in mm³; contact and objects are those of the points."""
     height_mm, grid = message.height_mm, _grid(message)
     if (height_mm > geometry.skin_radius_mm).any():
         raise DecodeError(
             f"height: found a height greater than the skin's radius, expected at most {geometry.skin_radius_mm:g} mm"
         )
-    contact = cells_that_see(cloud.points_mm, grid, geometry) & ~np.isnan(height_mm)
-    found = find_objects(contact, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
-    made = HeightMap(height_mm, contact, message.row0, message.col0, message.step_px)
+    labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, geometry)
+    labels[np.isnan(height_mm)] = 0
+    found = objects_of(labels, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
+    made = HeightMap(height_mm, labels > 0, message.row0, message.col0, message.step_px)
     return (made, (), 0.0) if found is None else (made, found.described, found.volume_mm3)
 
 

@@ -76,7 +76,7 @@ class Slip(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class TouchedObject:
-    """One connected contact, in order of area from label 1; lengths in mm, in the sensor frame.
+    """One object in contact, in order of area from label 1; lengths in mm, in the sensor frame.
 
     `centroid_mm` and `extent_mm` are mean, and max - min, of its points, `depth_max_mm` its greatest h, `normal` that
     of the plane through its points, away from the camera. `shear_mm` is the mean shear of its skin (None if the solver

@@ -15,9 +15,9 @@ from tacshade_edge.core.geometry.disc import (
     Window,
     cell_area_mm2,
     cells_in_image,
-    cells_that_see,
     disc_mask,
     disc_rays,
+    labels_by_cell,
     radius_squared,
     skin_planes,
     skin_points,
@@ -112,13 +112,18 @@ def test_points_are_seen_by_the_cells_that_they_are_of(
     height_mm = random.uniform(0, r_mm / 2, (9, 11)).astype(np.float32)
     chosen = random.random((9, 11)) < 0.3
     points = skin_points(height_mm, disc_rays(grid, geometry), geometry)[chosen]
-    np.testing.assert_array_equal(cells_that_see(points, grid, geometry), chosen)
+    labels = np.arange(1, len(points) + 1, dtype=np.uint16)
+    expected = np.zeros((9, 11), np.uint16)
+    expected[chosen] = labels
+    np.testing.assert_array_equal(labels_by_cell(points, labels, grid, geometry), expected)
 
 
 @given(st.none() | st.floats(5.0, 60.0), st.lists(st.tuples(*[st.floats(width=32)] * 3)))
 def test_no_point_breaks_it(d_mm: float | None, points: list[tuple[float, float, float]]) -> None:
     given_mm = np.array(points, np.float32).reshape(-1, 3)
-    seen = cells_that_see(given_mm, Grid(5, 5, 1.0, 1.0, 4.0), Geometry(20.0, d_mm, 50.0, DISC))
+    labels = np.ones(len(given_mm), np.uint16)
+    grid = Grid(5, 5, 1.0, 1.0, 4.0)
+    seen = labels_by_cell(given_mm, labels, grid, Geometry(20.0, d_mm, 50.0, DISC))
     assert seen.shape == (5, 5)
 
 

@@ -1,4 +1,4 @@
-"""Make object clouds: the contact, one label for every connected part, and a plane and a planar motion for each."""
+"""Make object clouds: the contact, one label for every object, and a plane and a planar motion for each."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tacshade_edge.core.contact.parting import part_objects
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, skin_planes
 from tacshade_edge.core.profiles import KMEANS, NETWORK, Outline
@@ -105,10 +106,15 @@ def contact_of(depth: Depth, inside: Bool, outline: Outline = NETWORK) -> Bool:
 
 
 def find_objects(
-    contact: Bool, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
+    contact: Bool,
+    height_mm: F32,
+    shear_mm: F32 | None,
+    rays: DiscRays,
+    geometry: Geometry,
+    contact_logit: F32 | None = None,
 ) -> Objects | None:
     """Separate the objects in contact, with points of their skin; None if nothing touches. `contact` holds only cells
-    with a height; shear is (rows, cols, 2).
+    with a height; shear is (rows, cols, 2), `contact_logit` the network's, if there is one.
     """
     box = bounding_box(contact)
     if box is None:
@@ -116,15 +122,37 @@ def find_objects(
     height = np.ascontiguousarray(height_mm[box])
     planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
-    labels = label_objects(contact[box], area)
-    labelled = np.zeros(contact.shape, bool)
+    logit = None if contact_logit is None else contact_logit[box]
+    labels = label_objects(contact[box], area, planes, logit)
+    return _objects(labels, box, height_mm, shear_mm, planes, area)
+
+
+def objects_of(
+    labels: U16, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
+) -> Objects | None:
+    """The objects that another program found: `labels` (rows, cols) are the numbers of their cells, which have a
+    height, and 0 elsewhere; missing numbers are closed up.
+    """
+    box = bounding_box(labels > 0)
+    if box is None:
+        return None
+    planes = skin_planes(np.ascontiguousarray(height_mm[box]), rays.part(box), geometry)
+    numbers = np.unique(np.append(labels[box], 0), return_inverse=True)[1][:-1]
+    closed = numbers.reshape(labels[box].shape).astype(np.uint16)
+    return _objects(closed, box, height_mm, shear_mm, planes, cell_area_mm2(planes))
+
+
+def _objects(
+    labels: U16, box: Box, height_mm: F32, shear_mm: F32 | None, planes: F32, area: F32
+) -> Objects | None:
+    labelled = np.zeros(height_mm.shape, bool)
     labelled[box] = labels > 0
     cells = cells_by_label(labels)
     if cells.size == 0:
         return None
     x_y_z = planes.reshape(3, -1).take(cells, axis=1)
     cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
-    heights, areas = height.take(cells), area.take(cells)
+    heights, areas = height_mm[box].take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
     moved = None if shear_mm is None else shear_mm[box].reshape(-1, 2).take(cells, axis=0).T
     return Objects(
@@ -166,11 +194,14 @@ def two_means_split(values: F32) -> float:
     return float(split if float(split) <= middle else np.nextafter(split, np.float32(-np.inf)))
 
 
-def label_objects(contact: Bool, cell_area: F32) -> U16:
-    """Number the connected contacts (8-neighbours) from 1, the largest area first; 0 outside, in patches below 0.5 mm²,
-    and beyond the 65535 objects that a cloud can number.
+def label_objects(
+    contact: Bool, cell_area: F32, planes_mm: F32, contact_logit: F32 | None = None
+) -> U16:
+    """Number the objects, which are connected contacts (8-neighbours) or parts of them, from 1, the largest area first;
+    0 outside, in patches below 0.5 mm², and beyond the 65535 objects that a cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
+    count = part_objects(raw, count, planes_mm, cell_area, contact_logit)
     areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
     areas[0] = 0.0
     order = (-areas).argsort(kind="stable")

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ...types import F32, Bool, Disc, Geometry, frozen
+from ...types import F32, U16, Bool, Disc, Geometry, frozen
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -151,8 +151,10 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
     return planes
 
 
-def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
-    """Cells whose rays pass nearest to points (N, 3) of the skin; points outside the grid are ignored."""
+def labels_by_cell(points_mm: F32, labels: U16, grid: Grid, geometry: Geometry) -> U16:
+    """The labels (N,) of points (N, 3) of the skin at the cells whose rays pass nearest to them, (rows, cols); 0 at the
+    other cells. Points outside the grid are ignored.
+    """
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
     with np.errstate(
@@ -166,9 +168,9 @@ def cells_that_see(points_mm: F32, grid: Grid, geometry: Geometry) -> Bool:
         i = np.rint((geometry.disc.row_c + y * px_per_mm - grid.row0) / grid.step_px)
         j = np.rint((geometry.disc.col_c + x * px_per_mm - grid.col0) / grid.step_px)
     inside = (i >= 0) & (i < grid.rows) & (j >= 0) & (j < grid.cols)
-    seen = np.zeros((grid.rows, grid.cols), np.bool_)
-    seen[i[inside].astype(np.intp), j[inside].astype(np.intp)] = True
-    return seen
+    by_cell = np.zeros((grid.rows, grid.cols), np.uint16)
+    by_cell[i[inside].astype(np.intp), j[inside].astype(np.intp)] = labels[inside]
+    return by_cell
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tacshade_edge.core.geometry.disc import DiscRays, Grid, cells_that_see
+from tacshade_edge.core.geometry.disc import DiscRays, Grid, labels_by_cell
 from tacshade_edge.core.recognition.answer import UNKNOWN, Answer, Recogniser
 from tacshade_edge.core.recognition.description import describe
 from tacshade_edge.types import (
@@ -42,16 +42,9 @@ def name_objects(
         return (replace(objects[0], name=whole.name, probability=whole.probability),)
     rows, cols = height.height_mm.shape
     grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
+    labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, geometry)
     answers = [
-        _answer(
-            recogniser,
-            _described(
-                height,
-                cells_that_see(cloud.points_mm[cloud.labels == each.label], grid, geometry),
-                rays,
-                geometry,
-            ),
-        )
+        _answer(recogniser, _described(height, labels == each.label, rays, geometry))
         for each in objects[:NAMED_MAX]
     ]
     surest = max(one.probability or 0.0 for one in answers)

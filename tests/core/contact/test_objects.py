@@ -22,6 +22,7 @@ from tacshade_edge.core.contact.objects import (
     spreads,
     two_means_split,
 )
+from tacshade_edge.core.contact.parting import part_objects
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, disc_rays, skin_points
 from tacshade_edge.types import F32, Bool, Disc, Geometry, ObjectCloud, TouchedObject
 
@@ -129,8 +130,13 @@ CONTACT = np.array(
 )
 
 
+def flat(contact: Bool) -> F32:
+    """x, y and z of a flat skin, (3, rows, cols)."""
+    return np.zeros((3, *contact.shape), np.float32)
+
+
 def test_objects_are_numbered_by_area_and_small_ones_vanish() -> None:
-    labels = label_objects(CONTACT, np.full(CONTACT.shape, 0.25, np.float32))
+    labels = label_objects(CONTACT, np.full(CONTACT.shape, 0.25, np.float32), flat(CONTACT))
     assert set(labels[1:4, 5:].ravel()) == {1}  # 2.25 mm²
     assert {int(labels[0, 0]), int(labels[0, 1]), int(labels[1, 0])} == {2}  # 0.75 mm²
     assert {int(labels[5, 1]), int(labels[6, 0])} == {3}  # 0.5 mm², corner to corner
@@ -142,7 +148,7 @@ def test_objects_are_numbered_by_area_and_small_ones_vanish() -> None:
 def test_no_more_objects_than_a_cloud_can_number() -> None:
     contact = np.zeros((2, 2 * (LABELS_MAX + 10)), bool)
     contact[0, ::2] = True
-    labels = label_objects(contact, np.ones(contact.shape, np.float32))
+    labels = label_objects(contact, np.ones(contact.shape, np.float32), flat(contact))
     assert labels.max() == LABELS_MAX
     assert np.count_nonzero(labels) == LABELS_MAX
 
@@ -155,6 +161,8 @@ def over_the_whole_map(
     du, dv = np.gradient(points, axis=1), np.gradient(points, axis=0)
     area = np.nan_to_num(np.linalg.norm(np.cross(du, dv), axis=-1)).astype(np.float64)
     count, patches = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
+    planes = np.moveaxis(points, -1, 0)
+    count = part_objects(patches, count, planes, area.astype(np.float32), None)
     areas = {k: float(area[patches == k].sum()) for k in range(1, count)}
     large = sorted((k for k in areas if areas[k] >= MIN_OBJECT_MM2), key=lambda k: -areas[k])
     if not large:

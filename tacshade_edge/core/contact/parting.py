@@ -1,0 +1,197 @@
+"""Part a connected contact into the objects that touch one another in it, by k-means.
+
+Between two objects the skin is free, or nearly: the network's log odds of contact have a valley there, even where the
+heights have none. As the odds that are asked for rise, such a contact falls apart into lobes, which are the seeds of
+k-means. A long, bent or branched object may have lobes too, but between them no deep valley, or parts that are hardly
+more convex than the whole: `evidence` weighs both for any two parts. A convex contact is one object, which its outline
+shows at once. Without a network, the distance from the outline stands for the odds: its valley is a neck.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from tacshade_edge.types import F32, F64, I32, I64, Bool
+
+CONVEX_PART = 0.92  # least part of its hull that a convex contact covers, by cells
+PARTS_MAX = 8
+LOBE_CELLS, LOBE_MM = 2.0, 1.2  # least inscribed radius of a lobe: less is noise of the outline
+CONTOUR_CELLS = 20  # length of the contour of two such lobes; shorter ones are not examined
+VALLEY = 0.85  # least depth of a valley, in log odds: no gain makes up for a shallower one
+NECK_ODDS = 4.0  # log odds that a neck of 1 / e of the lobe's radius is worth
+GAIN_ODDS = 4.0  # log odds that a full gain in convexity is worth
+EVIDENCE = 4.25  # least `evidence` that two parts are two objects
+LEVELS = 20
+NORMAL_MM = 2.0  # length of a unit normal beside x, y and z
+STEPS_MAX = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Lobe:
+    """A part of a contact above a valley: its innermost cell, its inscribed radius in cells, the valley's depth in log
+    odds.
+    """
+
+    row: int
+    col: int
+    radius: float
+    valley: float
+
+
+def part_objects(
+    raw: I32, count: int, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None
+) -> int:
+    """Give each further object in a connected contact the next number in `raw`, (rows, cols) numbers below `count` of
+    connected contacts, 0 outside; return the count then. `planes_mm` are x, y and z, (3, rows, cols), `area_mm2` is
+    each cell's, and `contact_logit` its log odds of contact, if they are known.
+    """
+    contours, _ = cv2.findContours(
+        (raw > 0).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    for contour in contours:
+        if len(contour) < CONTOUR_CELLS or covered_part(contour) >= CONVEX_PART:
+            continue
+        col, row, width, height = cv2.boundingRect(contour)
+        box = slice(row, row + height), slice(col, col + width)
+        own = raw[box] == raw[contour[0, 0, 1], contour[0, 0, 0]]
+        logit = None if contact_logit is None else contact_logit[box]
+        parts = parts_of(own, planes_mm[(slice(None), *box)], area_mm2[box], logit)
+        if parts is None:
+            continue
+        raw[box][parts > 0] = count - 1 + parts[parts > 0]
+        count += int(parts.max())
+    return count
+
+
+def covered_part(contour: I32) -> float:
+    """The part of its convex hull that a contour's cells, with those of its holes, cover."""
+    cells = cv2.contourArea(contour) + len(contour) / 2 + 1  # Pick's theorem
+    return float(cells / _hull_cells(contour))
+
+
+def _hull_cells(places: I32) -> float:
+    hull = cv2.convexHull(places)
+    return float(cv2.contourArea(hull) + cv2.arcLength(hull, closed=True) / 2 + 1)
+
+
+def parts_of(own: Bool, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None) -> I64 | None:
+    """The number of the object, from 0, of each cell in a contact, 0 elsewhere; None if it is one object."""
+    cell_mm = math.sqrt(float(area_mm2[own].mean()))
+    found = list(seeds(own, contact_logit, max(LOBE_CELLS, LOBE_MM / max(cell_mm, 1e-9))))
+    if not found:
+        return None
+    rows, cols = np.nonzero(own)
+    places = np.stack((cols, rows), axis=1).astype(np.int32)
+    point_of = np.zeros(own.shape, np.int64)
+    point_of[rows, cols] = np.arange(len(rows))
+    x = features(planes_mm)[:, rows, cols].T
+    best, best_score = None, -1.0
+    for lobes in found:
+        at = [point_of[one.row, one.col] for one in lobes]
+        radii_mm = cell_mm * np.array([one.radius for one in lobes])
+        assigned, centres = k_means(x, x[at], radii_mm)
+        if evidence(lobes, places, assigned) < EVIDENCE:
+            continue
+        score = silhouette(x, assigned, centres)
+        if score > best_score:
+            best, best_score = assigned, score
+    if best is None:
+        return None
+    parts = np.zeros(own.shape, np.int64)
+    parts[rows, cols] = best
+    return parts
+
+
+def features(planes_mm: F32) -> F64:
+    """x, y and z in mm and the unit normal, which is `NORMAL_MM` long, (6, rows, cols)."""
+    planes = planes_mm.astype(np.float64)
+    along, across = np.gradient(planes, axis=2), np.gradient(planes, axis=1)
+    normal = np.cross(along, across, axis=0)
+    length = np.maximum(np.sqrt((normal * normal).sum(axis=0)), 1e-9)
+    made: F64 = np.nan_to_num(np.concatenate((planes, NORMAL_MM * normal / length)))
+    return made
+
+
+def seeds(own: Bool, contact_logit: F32 | None, least_cells: float) -> Iterator[Sequence[Lobe]]:
+    """The lobes, at least `least_cells` in radius, into which a contact falls apart: two or more, for each number of
+    lobes those above the lowest level.
+    """
+    edged = cv2.copyMakeBorder(own.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    inner = cv2.distanceTransform(edged, cv2.DIST_L2, 5)[1:-1, 1:-1]
+    neck_odds = NECK_ODDS * np.log(np.maximum(inner, 1))
+    odds = neck_odds if contact_logit is None else cv2.blur(contact_logit, (3, 3))
+    odds = np.where(own, odds, -np.inf)
+    seen = {0, 1}
+    for level in np.linspace(float(odds[own].min()), float(odds.max()), LEVELS + 1)[1:-1]:
+        count, lobe_of = cv2.connectedComponents((odds > level).view(np.uint8), connectivity=8)
+        if count < 3:
+            continue
+        lobes = _lobes(count, lobe_of, inner, odds, float(level))
+        lobes = [one for one in lobes if one.radius >= least_cells and one.valley >= VALLEY]
+        if len(lobes) not in seen and len(lobes) <= PARTS_MAX:
+            seen.add(len(lobes))
+            yield lobes
+
+
+def _lobes(count: int, lobe_of: I32, inner: F32, odds: F32, level: float) -> list[Lobe]:
+    lobes = []
+    for number in range(1, count):
+        inside = np.where(lobe_of == number, inner, 0)
+        row, col = np.unravel_index(int(inside.argmax()), inside.shape)
+        valley = float(odds[lobe_of == number].max()) - level
+        lobes.append(Lobe(int(row), int(col), float(inside[row, col]), valley))
+    return lobes
+
+
+def k_means(x: F64, start: F64, radii_mm: F64) -> tuple[I64, F64]:
+    """Lloyd's k-means of points (N, D) from k centres (k, D), with the clusters' squared radii taken off the squared
+    distances, so that a small cluster beside a large one ends where their circles meet. Returns each point's cluster,
+    and the centres.
+    """
+    origin = x.mean(axis=0)
+    points, centres = x - origin, start - origin
+    assigned = np.full(len(x), -1)
+    for _ in range(STEPS_MAX):
+        offset = radii_mm * radii_mm - (centres * centres).sum(axis=1)
+        nearest = (2 * points @ centres.T + offset).argmax(axis=1)
+        if (nearest == assigned).all():
+            break
+        assigned = nearest
+        members = assigned[:, None] == np.arange(len(start))
+        counts = members.sum(axis=0)
+        kept = counts > 0
+        centres[kept] = (members.T.astype(np.float64) @ points)[kept] / counts[kept, None]
+    return assigned, centres + origin
+
+
+def silhouette(x: F64, assigned: I64, centres: F64) -> float:
+    """Mean silhouette of points (N, D), from distances to the clusters' centres."""
+    apart = np.linalg.norm(x[:, None] - centres, axis=2)
+    own = np.take_along_axis(apart, assigned[:, None], axis=1)[:, 0]
+    np.put_along_axis(apart, assigned[:, None], np.inf, axis=1)
+    other = apart.min(axis=1)
+    return float(((other - own) / np.maximum(np.maximum(own, other), 1e-9)).mean())
+
+
+def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64) -> float:
+    """How much speaks for several objects, the least over any two parts, in log odds: the depth of the valley, plus the
+    gain in convexity, which is 1 if the parts' own hulls leave out all that is wasted in their common hull.
+    """
+    parts = [places[assigned == number] for number in range(len(lobes))]
+    if not all(map(len, parts)):
+        return 0.0
+    wasted = [_hull_cells(part) - len(part) for part in parts]
+    least = math.inf
+    for i, j in combinations(range(len(lobes)), 2):
+        both = np.concatenate((parts[i], parts[j]))
+        common = max(_hull_cells(both) - len(both), 1.0)
+        gain = 1 - (wasted[i] + wasted[j]) / common
+        valley = min(lobes[i].valley, lobes[j].valley)
+        least = min(least, valley + GAIN_ODDS * gain)
+    return least
