@@ -4,13 +4,13 @@
 ::
 
     git worktree add /tmp/before c16ef09
-    .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60]
+    .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60] [--objects cube,ring]
 
 The frames are 640x480 colour images of the simulated sensor, untouched and under a cube that covers a fifth of the
-disc; each checkout makes its own calibration. ``contact`` computes depth and cloud, ``shear`` adds shear, and
-``everything`` adds the errors of depth and encodes all payloads except the touch, which older checkouts lack. Each
-figure is the median over rounds of a round's median (p50) or 99th percentile (p99); the ratio is the median of the
-rounds' ratios. Other work on the machine lengthens CPU time little.
+disc, or under the named objects by turns, enlarged as much; each checkout makes its own calibration. ``contact``
+computes depth and cloud, ``shear`` adds shear, and ``everything`` adds the errors of depth and encodes all payloads
+except the touch, which older checkouts lack. Each figure is the median over rounds of a round's median (p50) or 99th
+percentile (p99); the ratio is the median of the rounds' ratios. Other work on the machine lengthens CPU time little.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ NOISES = 8
 NO_ANSWER = "none"
 
 
-def serve(frames: int) -> None:
+def serve(frames: int, objects: Sequence[str]) -> None:
     """Time frames of the imported checkout, one measurement for each line on stdin."""
     import cv2
 
@@ -43,10 +44,12 @@ def serve(frames: int) -> None:
     cv2.setNumThreads(1)
     name = SensorName.parse("default")
     calibration, sensor = calibrated(name, 8, 40).calibration, name.make()
-    press = Press(OBJECTS["cube"](), 0.0, 0.0, 3.0, 20.0, 1.45)
+    presses = [Press(OBJECTS[one](), 0.0, 0.0, 3.0, 20.0, 1.45) for one in objects]
     images = {
-        what: [sensor.frame(presses, seed + k).image for k in range(NOISES)]
-        for what, presses, seed in (("no contact", (), 4000), ("contact", (press,), 3000))
+        "no contact": [sensor.frame((), 4000 + k).image for k in range(NOISES)],
+        "contact": [
+            sensor.frame((press,), 3000 + k).image for press in presses for k in range(NOISES)
+        ],
     }
     needs = getattr(types, "Need", None)
     made: dict[str, Any] = {}
@@ -66,7 +69,7 @@ def serve(frames: int) -> None:
         taken = np.empty(frames)
         for k in range(-3, frames):
             t_ns += 16_666_667
-            frame = types.Frame(0, t_ns, 0, shown[k % NOISES])
+            frame = types.Frame(0, t_ns, 0, shown[k % len(shown)])
             start = time.process_time_ns()
             found = each.step(frame, **asked)
             if kind == "everything":
@@ -86,8 +89,9 @@ def serve(frames: int) -> None:
 class Checkout:
     """A process that times the frames of one checkout."""
 
-    def __init__(self, root: Path, frames: int) -> None:
+    def __init__(self, root: Path, frames: int, objects: str) -> None:
         command = [sys.executable, __file__, str(root), "--serve", "--frames", str(frames)]
+        command += ["--objects", objects]
         environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
@@ -119,15 +123,16 @@ def main() -> None:
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--frames", type=int, default=60, help="of a round")
+    parser.add_argument("--objects", default="cube", metavar="NAME,...")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.serve:
-        serve(args.frames)
+        serve(args.frames, args.objects.split(","))
         return
     from tacshade_edge.core.profiles import PROFILES
     from tacshade_edge.studies.tables import markdown
 
-    now, before = Checkout(ROOT, args.frames), Checkout(args.checkout, args.frames)
+    now, before = (Checkout(root, args.frames, args.objects) for root in (ROOT, args.checkout))
     lines = []
     for profile in (name for name in PROFILES if name != "paper"):
         for kind in KINDS:

@@ -16,11 +16,11 @@ from functools import partial
 import cv2
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import Grid, labels_by_cell
+from tacshade_edge.simulator.drag import contact_nodes
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, Shape, ball, distances_mm, polygon
+from tacshade_edge.simulator.skin import node_directions
 from tacshade_edge.simulator.truth import SimulatedFrame
-from tacshade_edge.studies.evaluate.score import KnownTruth
 from tacshade_edge.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
@@ -118,7 +118,8 @@ SINGLES: dict[str, Callable[[], Shape]] = {
 class TouchingRow:
     """One frame by one profile: the number of objects that touch the skin, of connected contacts and of objects found.
 
-    `own_part` is the part of the cells that have the number of their own object, NaN unless two were found of two.
+    `own_part` is the part of the points that have the number of the object that is nearest to them, NaN unless two were
+    found of two.
     """
 
     profile: str
@@ -206,8 +207,7 @@ def rows(profiles: Sequence[str], task: tuple[SensorName, Calibration, str]) -> 
     found = []
     for k, (gap_mm, middle, presses) in enumerate(_scenes(sensor.model, name.seed, scene)):
         frame = sensor.frame(presses, NOISE + k)
-        known, owner = _owners(frame)
-        if owner is None:
+        if not _all_touch(frame):
             continue
         for each in made:
             result = each.step(Frame(0, 0, 0, frame.image))
@@ -223,34 +223,28 @@ def rows(profiles: Sequence[str], task: tuple[SensorName, Calibration, str]) -> 
                     len(presses),
                     contacts - 1,
                     len(result.objects),
-                    _own_part(result, calibration, known.sampled(owner, result.height, 0)),
+                    _own_part(result, frame),
                 )
             )
     return found
 
 
-def _owners(frame: SimulatedFrame) -> tuple[KnownTruth, F64 | None]:
-    """The truth, and at each pixel in contact the number of its object from 1; None if one of them hardly touches."""
-    truth = frame.truth()
-    owner = np.zeros(truth.contact.shape)
-    radius_mm = frame.model.skin_radius_mm
-    if len(truth.points_mm):
-        apart = distances_mm(frame.presses, radius_mm, truth.points_mm.astype(np.float64))
-        owner[truth.contact] = 1 + np.abs(apart).argmin(axis=0)
-    least_mm = LEAST_MM * radius_mm / 20
-    touching = {int(one) for one in np.unique(owner[truth.height_mm >= least_mm])} - {0}
-    return KnownTruth.of(truth), owner if len(touching) == len(frame.presses) else None
+def _all_touch(frame: SimulatedFrame) -> bool:
+    """Whether every object is pressed in by at least `LEAST_MM`."""
+    skin, presses = frame.skin, frame.presses
+    owner, points = contact_nodes(skin, node_directions(skin.radius_mm), presses)[2:]
+    depths_mm = skin.radius_mm - np.linalg.norm(points, axis=1)
+    least_mm = LEAST_MM * skin.radius_mm / 20
+    return all((depths_mm[owner == k] >= least_mm).any() for k in range(len(presses)))
 
 
-def _own_part(result: Reconstruction, calibration: Calibration, owner: F64) -> float:
-    if len(result.objects) != 2 or owner.max(initial=0) < 2:
+def _own_part(result: Reconstruction, frame: SimulatedFrame) -> float:
+    if len(result.objects) != 2 or len(frame.presses) != 2:
         return math.nan
-    height, cloud = result.height, result.cloud
-    rows, cols = height.contact.shape
-    grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
-    labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, calibration.geometry)
-    known = (owner > 0) & (labels > 0)
-    same = float(np.mean(owner[known] == labels[known]))
+    points_mm = result.cloud.points_mm.astype(np.float64)
+    apart_mm = distances_mm(frame.presses, frame.skin.radius_mm, points_mm)
+    nearest = np.abs(apart_mm).argmin(axis=0)
+    same = float(np.mean(nearest == result.cloud.labels - 1))
     return max(same, 1 - same)
 
 
@@ -281,7 +275,7 @@ TWO: Mapping[str, Callable[[Sequence[TouchingRow]], str]] = {
     "connected right %": _connected,
     "right %": right,
     **{f"{scene} %": _of_scene(scene) for scene in PAIRS},
-    "cells right %": _own,
+    "points right %": _own,
 }
 ONE: Mapping[str, Callable[[Sequence[TouchingRow]], str]] = {
     "frames": lambda some: str(len(some)),
