@@ -28,6 +28,7 @@ NECK_ODDS = 4.0  # log odds that a neck of 1 / e of the lobe's radius is worth
 GAIN_ODDS = 4.0  # log odds that a full gain in convexity is worth
 EVIDENCE = 4.25  # least `evidence` that two parts are two objects
 LEVELS = 20
+SIDE_CELLS = 120  # greatest side of the box of a contact that is examined cell by cell
 NORMAL_MM = 2.0  # length of a unit normal beside x, y and z
 STEPS_MAX = 5
 
@@ -61,12 +62,31 @@ def part_objects(
         box = slice(row, row + height), slice(col, col + width)
         own = raw[box] == raw[contour[0, 0, 1], contour[0, 0, 0]]
         logit = None if contact_logit is None else contact_logit[box]
-        parts = parts_of(own, planes_mm[(slice(None), *box)], area_mm2[box], logit)
+        # A map without a network may have a cell for every pixel: 100 on a side show an object's form.
+        step = 1 + max(width, height) // SIDE_CELLS
+        some = slice(None, None, step), slice(None, None, step)
+        parts = parts_of(
+            own[some],
+            planes_mm[(slice(None), *box)][(slice(None), *some)],
+            step * step * area_mm2[box][some],
+            None if logit is None else np.ascontiguousarray(logit[some]),
+        )
         if parts is None:
             continue
+        parts = np.where(own, _finer(parts, own[some], step)[:height, :width], 0)
         raw[box][parts > 0] = count - 1 + parts[parts > 0]
         count += int(parts.max())
     return count
+
+
+def _finer(parts: I64, own: Bool, step: int) -> I64:
+    """Numbers of coarse cells at the fine ones; those at the edge of a contact have their neighbour's number."""
+    if step == 1:
+        return parts
+    numbers = np.where(own, parts + 1, 0).astype(np.uint16)
+    grown = np.where(own, numbers, cv2.dilate(numbers, np.ones((3, 3), np.uint8)))
+    fine = grown.repeat(step, axis=0).repeat(step, axis=1).astype(np.int64)
+    return np.maximum(fine - 1, 0)
 
 
 def covered_part(contour: I32) -> float:

@@ -103,6 +103,22 @@ def test_a_valley_of_the_networks_odds_parts_what_its_outline_hardly_shows() -> 
     assert raw[40, 20] != raw[40, 58]
 
 
+@pytest.mark.parametrize("name", ["two balls", "three balls"])
+@pytest.mark.parametrize("finer", [2, 5])
+def test_objects_of_a_finer_map_are_parted_alike(name: str, finer: int) -> None:
+    def fine(values: np.ndarray) -> np.ndarray:
+        return np.repeat(np.repeat(values, finer, axis=-2), finer, axis=-1)
+
+    objects = TOUCHING[name]
+    contact: Bool = fine(np.logical_or.reduce(objects))
+    count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
+    area_mm2 = fine(AREA_MM2) / np.float32(finer**2)
+    assert part_objects(raw, count, fine(skin()), area_mm2, None) == 1 + len(objects)
+    np.testing.assert_array_equal(raw > 0, contact)
+    for one in objects:
+        assert np.bincount(raw[fine(one)]).max() > 0.95 * np.count_nonzero(fine(one))
+
+
 @given(st.floats(8, 20), st.floats(8, 20), st.floats(0, np.pi))
 def test_a_convex_contact_is_known_by_its_outline(a: float, b: float, turn: float) -> None:
     along = (COLS - 40) * np.cos(turn) + (ROWS - 40) * np.sin(turn)
