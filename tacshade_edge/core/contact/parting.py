@@ -2,9 +2,9 @@
 
 Between two objects the skin is free, or nearly: the network's log odds of contact have a valley there, even where the
 heights have none. As the odds that are asked for rise, such a contact falls apart into lobes, which are the seeds of
-k-means. A long, bent or branched object may have lobes too, but between them no deep valley, or parts that are hardly
-more convex than the whole: `evidence` weighs both for any two parts. A convex contact is one object, which its outline
-shows at once. Without a network, the distance from the outline stands for the odds: its valley is a neck.
+k-means. A long, bent or branched object may have lobes too, but without a deep valley, a narrow neck, or parts that are
+more convex than the whole: `evidence` weighs all three for any two parts. A convex contact is one object, which its
+outline shows at once. Without a network, the distance from the outline stands for the odds.
 """
 
 from __future__ import annotations
@@ -17,20 +17,25 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from tacshade_edge.types import F32, F64, I32, I64, Bool
+from tacshade_edge.types import F32, F64, I32, I64, U8, Bool
 
 CONVEX_PART = 0.92  # least part of its hull that a convex contact covers, by cells
 PARTS_MAX = 8
 LOBE_CELLS, LOBE_MM = 2.0, 1.2  # least inscribed radius of a lobe: less is noise of the outline
 CONTOUR_CELLS = 20  # length of the contour of two such lobes; shorter ones are not examined
 VALLEY = 0.85  # least depth of a valley, in log odds: no gain makes up for a shallower one
-NECK_ODDS = 4.0  # log odds that a neck of 1 / e of the lobe's radius is worth
+DISTANCE_ODDS = (
+    3.0  # log odds, without a network, of a distance from the outline that is e times another
+)
+NECK_ODDS = 6.0  # log odds that a neck is worth whose half width is 1 / e of a lobe's radius
 GAIN_ODDS = 4.0  # log odds that a full gain in convexity is worth
-EVIDENCE = 4.25  # least `evidence` that two parts are two objects
+EVIDENCE = 7.0  # least `evidence` that two parts are two objects
 LEVELS = 20
 SIDE_CELLS = 120  # greatest side of the box of a contact that is examined cell by cell
 NORMAL_MM = 2.0  # length of a unit normal beside x, y and z
 STEPS_MAX = 5
+LEAST_NECK_CELLS = 0.5  # half the width of a cell
+_AROUND = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +89,7 @@ def _finer(parts: I64, own: Bool, step: int) -> I64:
     if step == 1:
         return parts
     numbers = np.where(own, parts + 1, 0).astype(np.uint16)
-    grown = np.where(own, numbers, cv2.dilate(numbers, np.ones((3, 3), np.uint8)))
+    grown = np.where(own, numbers, cv2.dilate(numbers, _AROUND))
     fine = grown.repeat(step, axis=0).repeat(step, axis=1).astype(np.int64)
     return np.maximum(fine - 1, 0)
 
@@ -103,7 +108,10 @@ def _hull_cells(places: I32) -> float:
 def parts_of(own: Bool, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None) -> I64 | None:
     """The number of the object, from 0, of each cell in a contact, 0 elsewhere; None if it is one object."""
     cell_mm = math.sqrt(float(area_mm2[own].mean()))
-    found = list(seeds(own, contact_logit, max(LOBE_CELLS, LOBE_MM / max(cell_mm, 1e-9))))
+    edged = cv2.copyMakeBorder(own.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    inner = cv2.distanceTransform(edged, cv2.DIST_L2, 5)[1:-1, 1:-1]
+    least_cells = max(LOBE_CELLS, LOBE_MM / max(cell_mm, 1e-9))
+    found = list(seeds(own, inner, contact_logit, least_cells))
     if not found:
         return None
     rows, cols = np.nonzero(own)
@@ -116,7 +124,7 @@ def parts_of(own: Bool, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None
         at = [point_of[one.row, one.col] for one in lobes]
         radii_mm = cell_mm * np.array([one.radius for one in lobes])
         assigned, centres = k_means(x, x[at], radii_mm)
-        if evidence(lobes, places, assigned) < EVIDENCE:
+        if evidence(lobes, places, assigned, inner) < EVIDENCE:
             continue
         score = silhouette(x, assigned, centres)
         if score > best_score:
@@ -138,15 +146,15 @@ def features(planes_mm: F32) -> F64:
     return made
 
 
-def seeds(own: Bool, contact_logit: F32 | None, least_cells: float) -> Iterator[Sequence[Lobe]]:
+def seeds(
+    own: Bool, inner: F32, contact_logit: F32 | None, least_cells: float
+) -> Iterator[Sequence[Lobe]]:
     """The lobes, at least `least_cells` in radius, into which a contact falls apart: two or more, for each number of
-    lobes those above the lowest level.
+    lobes those above the lowest level. `inner` is each cell's distance from the outline, in cells.
     """
-    edged = cv2.copyMakeBorder(own.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-    inner = cv2.distanceTransform(edged, cv2.DIST_L2, 5)[1:-1, 1:-1]
-    neck_odds = NECK_ODDS * np.log(np.maximum(inner, 1))
-    odds = neck_odds if contact_logit is None else cv2.blur(contact_logit, (3, 3))
-    odds = np.where(own, odds, -np.inf)
+    by_distance = DISTANCE_ODDS * np.log(np.maximum(inner, 1))
+    known = by_distance if contact_logit is None else cv2.blur(contact_logit, (3, 3))
+    odds: F32 = np.where(own, known, -np.inf).astype(np.float32)
     seen = {0, 1}
     for level in np.linspace(float(odds[own].min()), float(odds.max()), LEVELS + 1)[1:-1]:
         count, lobe_of = cv2.connectedComponents((odds > level).view(np.uint8), connectivity=8)
@@ -199,19 +207,30 @@ def silhouette(x: F64, assigned: I64, centres: F64) -> float:
     return float(((other - own) / np.maximum(np.maximum(own, other), 1e-9)).mean())
 
 
-def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64) -> float:
-    """How much speaks for several objects, the least over any two parts, in log odds: the depth of the valley, plus the
-    gain in convexity, which is 1 if the parts' own hulls leave out all that is wasted in their common hull.
+def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> float:
+    """How much speaks for several objects, the least over any two parts, in log odds: the depth of the valley, the
+    narrowness of the neck, and the gain in convexity, which is 1 if the parts' own hulls leave out all that is wasted
+    in their common hull.
     """
     parts = [places[assigned == number] for number in range(len(lobes))]
     if not all(map(len, parts)):
         return 0.0
     wasted = [_hull_cells(part) - len(part) for part in parts]
+    masks = [_mask(part, inner) for part in parts]
     least = math.inf
     for i, j in combinations(range(len(lobes)), 2):
         both = np.concatenate((parts[i], parts[j]))
-        common = max(_hull_cells(both) - len(both), 1.0)
-        gain = 1 - (wasted[i] + wasted[j]) / common
+        gain = 1 - (wasted[i] + wasted[j]) / max(_hull_cells(both) - len(both), 1.0)
+        meeting = inner[(cv2.dilate(masks[i], _AROUND) & masks[j]).view(bool)]
+        neck = math.log(
+            min(lobes[i].radius, lobes[j].radius) / float(meeting.max(initial=LEAST_NECK_CELLS))
+        )
         valley = min(lobes[i].valley, lobes[j].valley)
-        least = min(least, valley + GAIN_ODDS * gain)
+        least = min(least, valley + NECK_ODDS * max(neck, 0.0) + GAIN_ODDS * gain)
     return least
+
+
+def _mask(places: I32, inner: F32) -> U8:
+    mask = np.zeros(inner.shape, np.uint8)
+    mask[places[:, 1], places[:, 0]] = 1
+    return mask
