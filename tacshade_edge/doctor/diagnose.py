@@ -25,9 +25,9 @@ from tacshade_edge.doctor.camera import (
 from tacshade_edge.doctor.machine import AS_SERVICE, Machine
 from tacshade_edge.doctor.ports import check_serial, check_usb
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import links, sources
+from tacshade_edge.factories import calibrations, links, sources
 from tacshade_edge.regular_files import open_regular
-from tacshade_edge.settings import Document, Rpicam, V4l2, load, load_all
+from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load, load_all
 
 MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
@@ -79,7 +79,16 @@ def _cameras(document: Document | None) -> list[V4l2]:
     documents = (
         () if document is None else load_all(document.path) if document.several else (document,)
     )
-    return [other.settings.source for other in documents if isinstance(other.settings.source, V4l2)]
+    found = [sized_source(other) for other in documents]
+    return [source for source in found if isinstance(source, V4l2)]
+
+
+def sized_source(document: Document) -> Source:
+    """The source of the settings, with the size that the daemon requests of a camera."""
+    source = document.settings.source
+    if not isinstance(source, V4l2 | Rpicam) or source.width_px is not None:
+        return source
+    return sources.sized(source, calibrations.image_size_px(document))
 
 
 def _check_camera(document: Document, machine: Machine) -> Findings:
@@ -90,7 +99,7 @@ def _check_camera(document: Document, machine: Machine) -> Findings:
 
 
 def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
-    source = document.settings.source
+    source = sized_source(document)
     captured = seen.captured = capture(sources.make_source(source))
     if not isinstance(source, V4l2 | Rpicam):
         return check_other_source(captured, source.fps)

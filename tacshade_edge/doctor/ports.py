@@ -193,4 +193,7 @@ def fits(port: Port, cameras: Sequence[V4l2]) -> bool:
 
 
 def bytes_s(camera: V4l2) -> float:
+    """Bytes per second of a camera with a stated size."""
+    assert camera.width_px is not None
+    assert camera.height_px is not None
     return camera.width_px * camera.height_px * _BYTES_PER_PX[camera.fourcc] * camera.fps

@@ -17,6 +17,7 @@ from tacshade_edge.factories import sources
 from tacshade_edge.inference.network import can_run, load_networks
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Document, Files, Rpicam, V4l2
+from tacshade_edge.settings.model import RPICAM_MULTIPLE_PX
 from tacshade_edge.storage.atomic_files import write_whole
 from tacshade_edge.storage.calibration import calibration_file, objects_file
 from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
@@ -125,6 +126,21 @@ def find_calibration(document: Document, *, store: bool = False) -> Calibration 
     return load_calibration(document, store=store)
 
 
+def image_size_px(document: Document) -> tuple[int, int] | None:
+    """Width and height of the calibration's images, px; None without a usable calibration."""
+    try:
+        return size_px(find_calibration(document))
+    except ConfigError:
+        return None  # the check of the calibration reports it
+
+
+def size_px(calibration: Calibration | Reason) -> tuple[int, int] | None:
+    """Width and height of a calibration's images, px; None if there is none."""
+    if isinstance(calibration, Reason):
+        return None
+    return calibration.image_width_px, calibration.image_height_px
+
+
 def how_to_calibrate(document: Document) -> str:
     """The commands that make the calibration that the settings name, as text."""
     return (
@@ -145,7 +161,14 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     key = "path"
     size: tuple[int, int] | None = None
     if isinstance(source, V4l2 | Rpicam):
-        key, size = "width_px", (source.width_px, source.height_px)
+        key = "width_px"
+        if source.width_px is not None and source.height_px is not None:
+            size = source.width_px, source.height_px
+        elif isinstance(source, Rpicam) and expected[0] % RPICAM_MULTIPLE_PX:
+            raise ConfigError(
+                f"{document.where('source', key)}: found null, which takes the calibration's "
+                f"{expected[0]} px, expected a calibration of a multiple of {RPICAM_MULTIPLE_PX} px"
+            )
     elif isinstance(source, Files):
         size = sources.first_size(document, source)
     if size is not None and size != expected:

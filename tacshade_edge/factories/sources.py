@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,8 +29,44 @@ if TYPE_CHECKING:
     from tacshade_edge.devices.serial.port import SerialPort
 
 
-def make_source(source: Source) -> FrameSource:
-    """Make the frame source that the settings name, without opening it. A camera needs no simulator's modules."""
+DEFAULT_SIZE_PX = (320, 240)
+"""Width and height where neither the settings nor a calibration state them: the smallest size that
+costs no accuracy (docs/results/image-size.md)."""
+
+
+def sized(source: Source, size_px: tuple[int, int] | None = None) -> Source:
+    """The source, with a width and a height if it is a camera whose settings state none.
+
+    `size_px` is the width and height of the calibration's images.
+    """
+    if not isinstance(source, V4l2 | Rpicam) or source.width_px is not None:
+        return source
+    width_px, height_px = size_px or DEFAULT_SIZE_PX
+    return msgspec.structs.replace(source, width_px=width_px, height_px=height_px)
+
+
+def best_size(offered: Iterable[tuple[int, int]]) -> tuple[int, int]:
+    """The width and height to take of those that a camera offers: the least that holds the default.
+
+    Of two, that with the default's sides goes first, because cameras crop pictures to other ones.
+    The default if the camera offers none that holds it.
+    """
+    cols, rows = DEFAULT_SIZE_PX
+    large = [size for size in offered if size[0] >= cols and size[1] >= rows]
+
+    def cost(size_px: tuple[int, int]) -> tuple[bool, int]:
+        width_px, height_px = size_px
+        return width_px * rows != height_px * cols, width_px * height_px
+
+    return min(large, key=cost, default=DEFAULT_SIZE_PX)
+
+
+def make_source(source: Source, size_px: tuple[int, int] | None = None) -> FrameSource:
+    """Make the frame source that the settings name, without opening it; `size_px` as in `sized`.
+
+    A camera needs no simulator's modules.
+    """
+    source = sized(source, size_px)
     match source:
         case V4l2():
             from tacshade_edge.devices.camera.v4l2 import V4l2Source

@@ -68,13 +68,13 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
             sensor = Sensor(calibrations.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
         sensor = sensor or load(Settings().calibration)
-        height_px, width_px = sensor.image_size_px
-        settings = Settings(source=V4l2(device=str(path), width_px=width_px, height_px=height_px))
+        settings = Settings(source=V4l2(device=str(path)))
     else:
         raise ConfigError(
             f"{path}: found another kind of file, expected a settings file (.yaml) or a device such as /dev/video0"
         )
-    return _Live(sources.make_source(settings.source), sensor, settings.source.fps)
+    rows, cols = sensor.image_size_px
+    return _Live(sources.make_source(settings.source, (cols, rows)), sensor, settings.source.fps)
 
 
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:

@@ -100,6 +100,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
 def _document(file: YamlFile, several: bool) -> Document:
     settings = convert(file, Settings)
     _check_profile(file, settings)
+    _check_size(file, settings.source)
     _check_exposure(file, settings.source)
     _check_hand(file, settings, several)
     settings = _absolute(settings, file.path.absolute().parent)
@@ -137,6 +138,16 @@ def _check_hand(file: YamlFile, settings: Settings, several: bool) -> None:
         )
     elif problem := wrong_with(settings.hand_T_sensor):
         raise file.error((FINGER,), problem)
+
+
+def _check_size(file: YamlFile, source: Source) -> None:
+    """Refuse a camera's width without a height, and a height without a width."""
+    if not isinstance(source, V4l2 | Rpicam):
+        return
+    missing = [name for name in ("width_px", "height_px") if getattr(source, name) is None]
+    if len(missing) == 1:
+        expected = "expected both width_px and height_px, or neither"
+        raise file.error(("source",), f"found no {missing[0]}, {expected}")
 
 
 def _check_exposure(file: YamlFile, source: Source) -> None:

@@ -32,6 +32,10 @@ def wrong_with(seven: Sequence[float]) -> str | None:
     return None
 
 
+RPICAM_MULTIPLE_PX = 64
+"""rpicam-vid does not report the length of a line, which equals a width that is a multiple of it."""
+
+
 class V4l2(
     msgspec.Struct,
     frozen=True,
@@ -43,8 +47,8 @@ class V4l2(
     """A Linux video device."""
 
     device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
-    width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] = 640
-    height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] = 480
+    width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] | None = None
+    height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] | None = None
     fps: Annotated[
         int, Meta(ge=1, le=240, description="frames per second to request from the camera")
     ] = 30
@@ -75,8 +79,15 @@ class Rpicam(
     camera: Annotated[
         int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")
     ] = 0
-    width_px: Annotated[int, Meta(ge=64, le=4096, multiple_of=64, description="image width")] = 640
-    height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] = 480
+    width_px: (
+        Annotated[
+            int, Meta(ge=64, le=4096, multiple_of=RPICAM_MULTIPLE_PX, description="image width")
+        ]
+        | None
+    ) = None
+    height_px: (
+        Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] | None
+    ) = None
     fps: Annotated[
         int, Meta(ge=1, le=240, description="frames per second to request from the camera")
     ] = 30

@@ -113,6 +113,6 @@ def test_the_file(tmp_path: Path) -> None:
         assert finding.state == state
         assert f"{known.crc32:08x}" in finding.found
         assert fix in finding.fix
-    config.write_text("calibration: c.npz\n")
+    config.write_text("calibration: c.npz\nsource: {kind: v4l2, width_px: 800, height_px: 600}\n")
     known, (finding,) = load(load_settings(config))
     assert (known, finding.state) == (None, "fault"), "another image size"

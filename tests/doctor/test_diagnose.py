@@ -61,7 +61,8 @@ def test_every_subject_is_checked_whatever_another_says(config: Path, machine: A
 
 
 def test_the_cameras_of_all_sensors_are_counted_on_usb(config: Path, machine: Any) -> None:
-    own = "source: {kind: v4l2, fourcc: YUYV, device: /dev/video90%d}"
+    size = "width_px: 640, height_px: 480"
+    own = f"source: {{kind: v4l2, fourcc: YUYV, {size}, device: /dev/video90%d}}"
     names = [f"  f{k}: {{calibration: c{k}.npz, {own % k}}}" for k in range(3)]
     config.write_text("\n".join([f"mqtt: {{port: {free_port()}}}", "sensors:", *names]) + "\n")
     for k in range(3):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from support.vivid import NODE, control, plug_webcam
 
+from tacshade_edge.devices.camera.v4l2_node import frame_sizes
 from tacshade_edge.doctor import Finding
 from tacshade_edge.doctor.camera import Captured, capture, check_device, check_frames, list_cameras
 from tacshade_edge.doctor.machine import Machine
@@ -65,6 +66,10 @@ def test_the_offer_is_the_drivers() -> None:
         ["v4l2-ctl", "-d", NODE, "--list-formats-ext"], check=True, capture_output=True, text=True
     )
     assert "Discrete 640x480" in listed.stdout
+    sizes = frame_sizes(NODE, "YUYV")
+    assert (640, 480) in sizes
+    assert all(f"Discrete {width}x{height}" in listed.stdout for width, height in sizes)
+    assert frame_sizes(NODE, "H264") == []
     by_format = check_device(asked(fourcc="MJPG"), MACHINE)[-1]
     assert (by_format.state, by_format.fix) == ("fault", "set source.fourcc: YUYV or NV12 or GREY")
 

@@ -178,7 +178,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         document = load(path, args.sensor)
         sources.check_source(document)
         sources.check_serial(document)
-        source = document.settings.source
+        source = sources.sized(document.settings.source)
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             found = f"found another source in {document.where('source')}"
             raise ConfigError(
@@ -189,7 +189,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         machine = Machine()
         cameras, csi = found_cameras(machine), list(csi_cameras())
         if not cameras and len(csi) == 1:
-            return Rpicam(camera=csi[0]), None
+            return sources.sized(Rpicam(camera=csi[0])), None
         if len(cameras) != 1:
             fix = f"; {CSI_FIX}" if not cameras and has_csi_receiver(machine) else ""
             found = ", ".join(cameras) or "no camera"
@@ -203,7 +203,10 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     if not known:
         found = f"found {', '.join(offered) or 'none'}, expected one of {', '.join(FOURCCS)}"
         raise ConfigError(f"--camera {device}: pixel formats: {found}")
-    return msgspec.convert({"kind": "v4l2", "device": device, "fourcc": known[0]}, V4l2), None
+    width_px, height_px = sources.best_size(v4l2_node.frame_sizes(device, known[0]))
+    size = {"width_px": width_px, "height_px": height_px}
+    camera = {"kind": "v4l2", "device": device, "fourcc": known[0], **size}
+    return msgspec.convert(camera, V4l2), None
 
 
 def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str, object]) -> str:

@@ -60,9 +60,8 @@ def _run_sensor(
 ) -> int:
     sources.check_files(document)
     calibration = calibrations.find_calibration(document, store=True)
-    app = App(
-        document, sources.make_source(document.settings.source), calibration, hand_line, robot_line
-    )
+    source = sources.make_source(document.settings.source, calibrations.size_px(calibration))
+    app = App(document, source, calibration, hand_line, robot_line)
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:

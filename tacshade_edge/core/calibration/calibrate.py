@@ -37,6 +37,8 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import U8, Calibration, Fit, Geometry, Polarity
 
+FINE_PITCH_PX = 6.0
+"""Pitch of the markers below which errors grow (docs/results/image-size.md)."""
 UNUSUAL_ERRORS = 1.4
 """Error scale of the graded profile above which a warning is due (at most 1.34 on six sensors of the trained family,
 1.38 or more on six of the other)."""
@@ -69,6 +71,7 @@ def calibrate(
     judge = pattern.stated_warning if sensor.visible_circle else pattern.rim_warning
     if unsure := judge(unloaded.reference_grey, unloaded.geometry.disc):
         warnings = (unsure, *warnings)
+    warnings += _fine_pattern(unloaded.pitch_px)
     if sensor.polarity and not any(press.x_mm is not None for press in presses):
         warnings += _doubted_polarity(sensor.polarity, shown_polarity(unloaded))
     if not presses:
@@ -120,6 +123,15 @@ def calibrate(
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
     return CalibrationResult(fitted, warnings, quality, selection.presses)
+
+
+def _fine_pattern(pitch_px: float) -> tuple[str, ...]:
+    """A warning if the image is too small for its marker pattern."""
+    if pitch_px >= FINE_PITCH_PX:
+        return ()
+    found = f"found a pitch of {pitch_px:.1f} px, expected at least {FINE_PITCH_PX:g}"
+    why = "heights may be off up to twice as much; take larger images (source.width_px)"
+    return (f"markers: {found}: {why}",)
 
 
 def _doubted_polarity(stated: Polarity, likely: Polarity) -> tuple[str, ...]:

@@ -24,7 +24,10 @@ from tacshade_edge.reasons import ReasonCode
 _VIDIOC_G_CTRL, _VIDIOC_S_CTRL = 0xC008561B, 0xC008561C
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
+_VIDIOC_ENUM_FRAMESIZES = 0xC02C564A
 _VIDIOC_REQBUFS = 0xC0145608
+_DISCRETE = 1  # V4L2_FRMSIZE_TYPE_DISCRETE
+_MOST_ENTRIES = 256  # of a driver's list: one that never ends it is broken
 _BUF_TYPES = (1, 9)  # capture, and the multi-planar one
 _CAPTURE = 0x00000001 | 0x00001000  # V4L2_CAP_VIDEO_CAPTURE, _MPLANE
 _MEMORY_MMAP = 1
@@ -78,11 +81,29 @@ def formats(device: str) -> list[str]:
     with _opened(device) as fd:
         for kind in _BUF_TYPES:
             with suppress(OSError):  # the end of the list, EINVAL
-                for index in range(256):
+                for index in range(_MOST_ENTRIES):
                     entry = bytearray(struct.pack("<2I56x", index, kind))
                     fcntl.ioctl(fd, _VIDIOC_ENUM_FMT, entry)
                     codes.append(entry[44:48].decode("ascii", errors="replace").strip())
     return codes
+
+
+def frame_sizes(device: str, fourcc: str) -> list[tuple[int, int]]:
+    """Return each width and height that the device offers in a pixel format, px.
+
+    Empty if the driver lists none or offers any size of a range. Raises as `check_node` does.
+    """
+    found = []
+    (code,) = struct.unpack("<I", fourcc.ljust(4).encode("ascii"))
+    with _opened(device) as fd, suppress(OSError):  # the end of the list, EINVAL
+        for index in range(_MOST_ENTRIES):
+            entry = bytearray(struct.pack("<2I36x", index, code))
+            fcntl.ioctl(fd, _VIDIOC_ENUM_FRAMESIZES, entry)
+            kind, width_px, height_px = struct.unpack_from("<3I", entry, 8)
+            if kind != _DISCRETE:
+                return []
+            found.append((width_px, height_px))
+    return found
 
 
 def is_busy(device: str) -> bool:

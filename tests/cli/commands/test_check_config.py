@@ -55,7 +55,14 @@ def test_a_missing_calibration_is_a_warning_with_the_next_command(
             "calibration: cut.npz\nsource: {kind: simulated}\n",
             ":1: calibration: {folder}/cut.npz: ",
         ),
-        ("calibration: c.npz\n", ": source.width_px: found 640x480 px"),
+        (
+            "calibration: c.npz\nsource: {kind: v4l2, width_px: 800, height_px: 600}\n",
+            ":2: source.width_px: found 800x600 px",
+        ),
+        (
+            "calibration: c.npz\nsource: {kind: v4l2, height_px: 600}\n",
+            ":2: source: found no width_px, expected both width_px and height_px, or neither",
+        ),
         (
             "calibration: c.npz\nsource: {kind: files, path: absent}\n",
             ":2: source.path: {folder}/absent: ",

@@ -4,11 +4,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
-from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.core.calibration.calibrate import (
+    FINE_PITCH_PX,
+    CalibrationResult,
+    calibrate,
+)
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.errors import ConfigError
@@ -33,6 +38,17 @@ def test_references_alone_give_what_images_tell() -> None:
         np.hypot(np.arange(240)[:, None] - HALF.row_c, np.arange(320)[None, :] - HALF.col_c) > 104
     )
     assert not calibration.reference_white[outside].any()
+
+
+def test_a_pattern_too_fine_for_the_images_is_named() -> None:
+    small = [
+        np.asarray(cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA))
+        for image in references()
+    ]
+    result = calibrate(SENSOR, small)
+    assert result.calibration.pitch_px < FINE_PITCH_PX
+    (warning,) = [line for line in result.warnings if line.startswith("markers: ")]
+    assert "expected at least 6" in warning
 
 
 def test_references_that_cannot_be_used() -> None:
