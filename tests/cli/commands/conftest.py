@@ -22,7 +22,7 @@ def small_pad() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         small = Pad(14.0, 10.0, (Bar(2.1, 5.1, 12.1, 5.1, 3.0),))
         patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: small)
-        patch.setattr(simulate, "workers", lambda: nullcontext(ThisProcess()))
+        patch.setattr(simulate, "workers", lambda cluster: nullcontext(ThisProcess()))
         yield
 
 
