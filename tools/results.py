@@ -74,6 +74,8 @@ PAGES = {
             "": f"{EVALUATE} {FIVE} --profile paper fast balanced accurate",
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
+            "The network's outline and two means": f"tools.studies.outline --final --objects {FIVE}",
+            "Objects that touch each other": "tools.studies.touching --final",
         },
         profiles=("paper", *NETWORKS),
     ),
