@@ -32,7 +32,6 @@ from tools.studies.third_family.domes import (
     FIRST_SEED,
     RANGES,
     ROUNDING_MM,
-    SOLIDS,
     Dome,
     Kept,
     Way,
@@ -41,6 +40,7 @@ from tools.studies.third_family.domes import (
     known_ways,
     ways,
 )
+from tools.studies.third_family.table_i import TABLE_I_SOLIDS, WHAT, table_i_ways
 
 EDGE_MM = 1.3
 """Edge length of the mesh at the tip, on a skin of 20 mm."""
@@ -244,7 +244,7 @@ def _solids(way: Way) -> str:
     turn = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
     # The object's orientation at the end of the path, where the hinge is at 0.
     own = Press(press.shape, tilt_x_deg=press.tilt_x_deg, tilt_y_deg=press.tilt_y_deg).tilt() @ turn
-    for kind, sizes, middle, (about_x, about_y, _) in SOLIDS[way.object_name]:
+    for kind, sizes, middle, (about_x, about_y, _) in TABLE_I_SOLIDS[way.object_name]:
         lying = Press(press.shape, tilt_x_deg=about_x, tilt_y_deg=about_y).tilt()
         axes = own @ lying
         made.append(
@@ -277,6 +277,7 @@ def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
         wanted = {
             "": ways(dome, seed, options.ways),
             "press": known_ways(dome, seed, options.presses),
+            WHAT: table_i_ways(dome) if options.table_i else [],
         }
         for what, paths in wanted.items():
             for k, way in enumerate(paths):
@@ -298,6 +299,9 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--states", type=Path, required=True, help="existing files stay as they are"
+    )
+    parser.add_argument(
+        "--table-i", action="store_true", help="Table I's objects as well (tools.studies.paper)"
     )
     options = parser.parse_args(arguments)
     options.states.mkdir(parents=True, exist_ok=True)
