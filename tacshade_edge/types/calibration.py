@@ -188,6 +188,9 @@ class Calibration:
     alpha: Annotated[
         float, Meta(ge=0, lt=_MOST)
     ]  # the paper's α: depth of a normalised height of 1, in px
+    alpha_grey: Annotated[float, Meta(ge=0, le=255)] = (
+        0.0  # RMS of g_d (eq. 9) over the disc to which α belongs, which grows with it; 0: α is constant
+    )
     factors: Mapping[str, Size] = field(
         default_factory=dict
     )  # on h, of each profile refitted to presses

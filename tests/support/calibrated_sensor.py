@@ -7,7 +7,6 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 
 from support.shared import once_for_all_workers
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -32,9 +31,7 @@ HALF = replace(
     FULL, image_height_px=240, image_width_px=320, row_c=118.2, col_c=163.8, disc_radius_px=102.5
 )
 TACTIP = tactip(HALF)
-EVERY_PROFILE = [
-    pytest.param(name, marks=pytest.mark.slow) if name == "paper" else name for name in PROFILES
-]
+EVERY_PROFILE = list(PROFILES)
 
 
 def sensor_of(model: SensorModel) -> Sensor:

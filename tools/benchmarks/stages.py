@@ -49,8 +49,7 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--frames", type=int, default=200, help="in each round")
-    learned = [name for name in PROFILES if name != "paper"]
-    parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=learned)
+    parser.add_argument("--profile", nargs="+", choices=list(PROFILES), default=list(PROFILES))
     args = parser.parse_args()
     cv2.setNumThreads(1)
     name = SensorName.parse("default")
@@ -83,7 +82,7 @@ def main() -> None:
     parts: dict[tuple[str, str], list[dict[str, float]]] = {key: [] for key in steps}
     for _ in range(args.rounds):
         for key, step in steps.items():
-            taken = [step() for _ in range(args.frames if key[0] != "paper" else 3)]
+            taken = [step() for _ in range(args.frames)]
             p50, p99 = np.percentile([sum(each.values()) for each in taken], (50, 99))
             rounds[key].append((float(p50), float(p99)))
             ran = {stage: [each[stage] for each in taken if stage in each] for stage in STAGES}

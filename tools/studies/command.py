@@ -26,8 +26,8 @@ from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import U8, Calibration
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 
-NETWORKS = tuple(name for name in PROFILES if name != "paper")
-"""The profiles that take far less than a second per frame."""
+NETWORKS = tuple(name for name, profile in PROFILES.items() if profile.network)
+"""The profiles of which shear, sigma or a fit can be studied."""
 COLOURS = ("#3d6fb4", "#e4572e", "#4a9c5d", "#8a5fb0")
 ALONE = "_none"
 """Ends the name of a calibration that was fitted to references alone."""

@@ -41,7 +41,7 @@ SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     files = "evaluation.md, evaluation.csv and evaluation.json"
-    study.add_arguments(parser, "default: all but paper, which is slow", files)
+    study.add_arguments(parser, "default: all", files)
     own = parser.add_argument_group("your own frames with labels instead of surfaces")
     add_option(own, "--labels", "CSV", f"table of image and any of {', '.join(labels.COLUMNS)}")
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
+    return tuple(dict.fromkeys(args.profile or PROFILES))
 
 
 def _simulated(args: argparse.Namespace) -> int:

@@ -55,9 +55,7 @@ WIDEST_PX = 400
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    study.add_arguments(
-        parser, "default: all but paper", "tradeoff.md, tradeoff.csv and tradeoff.json"
-    )
+    study.add_arguments(parser, "default: all", "tradeoff.md, tradeoff.csv and tradeoff.json")
     wish = parser.add_argument_group(
         "what you need; prints the settings of the most accurate that holds it"
     )
@@ -88,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         return _report(args)
     drawn = args.plot and study.will_draw(args, "tradeoff.png")
-    profiles = tuple(dict.fromkeys(args.profile or (name for name in PROFILES if name != "paper")))
+    profiles = tuple(dict.fromkeys(args.profile or PROFILES))
     mistakes: list[str] = []
     if args.images is not None and study.is_own(args, ("sensors", "objects", "cluster")):
         calibration, cases, mistakes = study.own_images(args)
@@ -173,6 +171,7 @@ def _report(args: argparse.Namespace) -> int:
     if args.json:
         args.parser.error("--report prints Markdown: expected no --json")
     args.report, args.outputs, args.sensors = False, ("height",), study.sensors("default")
+    args.profile = [name for name, profile in PROFILES.items() if profile.network]
     machine = Machine()
     facts, before = board_facts(machine), heat(machine)
     code = run(args)

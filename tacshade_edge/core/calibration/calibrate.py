@@ -9,6 +9,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.inputs import Inputs, KnownPress, Sensor
 from tacshade_edge.core.calibration.observation import position_mae_mm
+from tacshade_edge.core.calibration.paper_scale import with_paper_scale
 from tacshade_edge.core.calibration.presses.press_selection import agreement_mae_mm, select_presses
 from tacshade_edge.core.calibration.presses.table_check import zero_hint
 from tacshade_edge.core.calibration.quality import (
@@ -80,9 +81,7 @@ def calibrate(
     selection = select_presses(
         unloaded, presses, networks.get(GRADED_PROFILE), polarity_stated=bool(sensor.polarity)
     )
-    # The paper's α for this sensor scales a normalised height of 1 to the mean pressed depth.
-    alpha = float(np.mean([press.depth_mm for press in selection.presses])) / geometry.mm_per_px
-    fitted = replace(unloaded, polarity=selection.polarity, alpha=alpha)
+    fitted = with_paper_scale(replace(unloaded, polarity=selection.polarity), selection.presses)
     made = {
         name: refit_profile(fitted, PROFILES[name], each, selection.presses)
         for name, each in networks.items()

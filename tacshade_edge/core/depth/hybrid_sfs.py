@@ -49,7 +49,14 @@ def with_own_ratio(calibration: Calibration, depth_mm: float) -> Calibration:
     """The calibration with the α of one press, "the ratio between the ground-truth contact depth and the maximum
     estimated depth" (section IV-C): its greatest height becomes `depth_mm`.
     """
-    return replace(calibration, alpha=depth_mm / calibration.geometry.mm_per_px)
+    alpha = depth_mm / calibration.geometry.mm_per_px
+    return replace(calibration, alpha=alpha, alpha_grey=0.0)
+
+
+def change_grey(maps: GreyMaps) -> float:
+    """RMS of eq. 9's g_d over the disc, 0 to 255 grey levels; a value that is not finite counts as 0."""
+    g_d = np.clip(np.nan_to_num(maps.g_d[maps.inside]), -255, 255)
+    return float(np.sqrt(np.square(g_d, dtype=np.float64).mean())) if g_d.size else 0.0
 
 
 class HybridSfs:
@@ -66,13 +73,16 @@ class HybridSfs:
         self._grey_mapper = GreyMapper(preprocessor)
         # α is per pixel of the image (the paper ties it to the image's resolution).
         self._alpha_mm = preprocessor.camera.alpha * preprocessor.camera.geometry.mm_per_px
+        self._alpha_grey = preprocessor.camera.alpha_grey
 
     def solve(
         self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
     ) -> Depth:
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
-        return hybrid_depth(maps, self._alpha_mm, self._unit_height)
+        # Eq. 10 normalises the depth away; what grows with it is how much the whole skin changed.
+        times = change_grey(maps) / self._alpha_grey if self._alpha_grey else 1.0
+        return hybrid_depth(maps, times * self._alpha_mm, self._unit_height)
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> None:
         """The paper has no shear."""
