@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.paper_scale [--sensors default,3,7,other:3,two-scales:2]
+    .venv/bin/python -m tools.studies.paper_scale [--sensors 4,11,other:5,two-scales:4]
 
 Each sensor is calibrated with 24 ball presses; the paper's five objects are pressed elsewhere to four depths. The error
 is the mean of |found - true| of the greatest depth, a missed contact counting as 0 mm. *15 px*: the paper's number;
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument(
         "--sensors",
         type=working_sensors,
-        default=working_sensors("default,3,7,other:3,two-scales:2"),
+        default=working_sensors("4,11,other:5,two-scales:4"),
         metavar="SEED,...",
     )
     args = parser.parse_args()
