@@ -3,7 +3,7 @@
 
 ::
 
-    .venv/bin/python -m tools.training.learn_objects --data out/objects [--sensors 40]
+    .venv/bin/python -m tools.training.learn_objects --data out/objects
 
 It simulates the sensors whose files DATA lacks, so that it can be interrupted. No sensor and no
 solid of docs/results/recognise.md is among them.
@@ -40,6 +40,8 @@ FAMILIES = (
 )
 """Of the sensors, in turn."""
 FIRST_SEED = 500_000
+NUMBERS = (*range(11), 12, 13, *range(30, 37))
+"""Of the sensors, counted from `FIRST_SEED`; the picture of number 11 seems pressed, so it is not calibrated."""
 SOLIDS, TOUCHES = 600, 180
 """Number of solids, and of touches of each sensor, with solids drawn at random."""
 PRESSES = (0, 40)  # of the sensors' calibrations, in turn
@@ -156,14 +158,13 @@ def main(words: Sequence[str] | None = None) -> None:
     """Simulate what is missing, learn, and write the metric."""
     parser = argparse.ArgumentParser(description="The metric of recognition.")
     parser.add_argument("--data", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--sensors", type=int, default=40, metavar="N")
     args = parser.parse_args(words)
-    paths = [args.data / f"sensor_{k:03d}.npz" for k in range(args.sensors)]
-    jobs = [(k, path) for k, path in enumerate(paths) if not path.exists()]
+    paths = {k: args.data / f"sensor_{k:03d}.npz" for k in NUMBERS}
+    jobs = [(k, path) for k, path in paths.items() if not path.exists()]
     with command.folder_for(parser, args.data), workers() as pool:
         for path in pool.map(simulate, jobs):
             print(path, flush=True)
-    parts = [described(path) for path in paths]
+    parts = [described(path) for path in paths.values()]
     names = [name for part in parts for name in part[0]]
     metric = learn(np.stack([each for part in parts for each in part[1]]), names)
     stream = io.BytesIO()

@@ -3,8 +3,8 @@
 The skin in contact lies on the object, so in the sensor frame it is a piece of the object's own surface, whatever dome
 was pressed. Three kinds of numbers describe it:
 
-- On rings around the middle of the contact, magnitudes of the harmonics of the angle of four fields: where the skin
-  touches, how far the object's surface rises above its lowest point, how deep the skin is, and where it bends (edges).
+- On rings around the middle of the contact, magnitudes of the harmonics of the angle of three fields: where the skin
+  touches, how far the object's surface rises above its lowest point, and how deep the skin is.
 - Wherever the middle may be: how much of the contact has which slope and which curvatures, and harmonics of the
   directions of its outline, edges and slopes, by which straight sides differ from round ones.
 - Moments of the contact, a quadric fitted to its form, its outline, and the depth and place of the press.
@@ -57,8 +57,8 @@ def describe(height_mm: F32, touched: Bool, rays: DiscRays, geometry: Geometry) 
     lowest = float(np.quantile(z[own], LOWEST_PART))
     rise = (z - np.float32(lowest)) * own
     depth = float(height[own].max())
-    edges, local = _local(z, own, weight, geometry)
-    fields = np.stack((inside, inside * rise, weight * height, weight * edges))
+    local = _local(z, own, weight, geometry)
+    fields = np.stack((inside, inside * rise, weight * height))
     fullness = float((inside * height).sum()) / area / max(depth, _NOTHING)
     numbers = np.concatenate(
         (
@@ -106,9 +106,8 @@ def _on_rings(dx: F32, dy: F32, fields: F32) -> F32:
     radius = np.sqrt(dx * dx + dy * dy).ravel()
     near = np.flatnonzero(radius < RINGS * RING_MM)
     radius = radius[near]
-    angle = np.arctan2(dy.ravel()[near], dx.ravel()[near])
-    turns = np.arange(1, ORDERS, dtype=np.float32)[:, None] * angle
-    waves = np.concatenate((np.ones((1, len(near)), np.float32), np.cos(turns), np.sin(turns)))
+    waves = np.ones((2 * ORDERS - 1, len(near)), np.float32)
+    _powers(dx.ravel()[near], dy.ravel()[near], waves[1:ORDERS], waves[ORDERS:])
     rings = np.arange(RINGS, dtype=np.float32)[:, None]
     hats = np.maximum(0, 1 - np.abs(radius / RING_MM - rings))
     values = fields.reshape(len(fields), 1, -1)[:, :, near] * hats
@@ -119,9 +118,9 @@ def _on_rings(dx: F32, dy: F32, fields: F32) -> F32:
     return np.asarray((made / areas).ravel())
 
 
-def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> tuple[F32, F64]:
-    """How much the skin bends beyond the dome at each cell, 1/mm; and what the contact is made of: parts of slopes and
-    curvatures, harmonics of directions, bends in all and length of the outline.
+def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
+    """What the contact is made of: parts of slopes and curvatures, harmonics of directions, bends in all and length of
+    the outline.
     """
     side = math.sqrt(float(weight[own].mean()))
     smooth = cv2.GaussianBlur(z, (0, 0), max(SMOOTHING_MM / side, LEAST_SMOOTHING))
@@ -150,7 +149,7 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> tuple[F32, F64
         math.log(float((bend * weight).sum()) + 1e-3),
         math.log(float((outline * weight).sum()) + 1e-3),
     )
-    return bend, np.concatenate((*parts, *directions, totals))
+    return np.concatenate((*parts, *directions, totals))
 
 
 def _half(values: F32) -> F32:
@@ -183,9 +182,23 @@ def _directions(x: F32, y: F32, weight: F32) -> F64:
     if not some.size:
         return np.zeros(DIRECTIONS)
     known = weight.take(some)
-    angle = np.arctan2(y.take(some), x.take(some))
-    turns = np.arange(1, DIRECTIONS + 1, dtype=np.float32)[:, None] * angle
-    return np.asarray(np.hypot(np.cos(turns) @ known, np.sin(turns) @ known) / known.sum(), float)
+    waves = np.empty((2 * DIRECTIONS, len(some)), np.float32)
+    _powers(x.take(some), y.take(some), waves[:DIRECTIONS], waves[DIRECTIONS:])
+    sums = waves @ known
+    return np.asarray(np.hypot(sums[:DIRECTIONS], sums[DIRECTIONS:]) / known.sum(), float)
+
+
+def _powers(x: F32, y: F32, cosines: F32, sines: F32) -> None:
+    """Fill the cosines and sines (orders, N) of 1, 2, 3 ... times the angles of vectors (N,): each order is the product
+    of the one before and the first, far cheaper than trigonometric functions.
+    """
+    length = np.maximum(np.sqrt(x * x + y * y), np.float32(_NOTHING))
+    cosine, sine = x / length, y / length
+    cosines[0], sines[0] = cosine, sine
+    for order in range(1, len(cosines)):
+        c, s = cosines[order - 1], sines[order - 1]
+        cosines[order] = c * cosine - s * sine
+        sines[order] = c * sine + s * cosine
 
 
 def _moments(dx: F32, dy: F32, inside: F32, area: float) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from tacshade_edge.types import F32, I64, frozen
 
 CLIP = 5.0  # limit of a standardised number; more carries no information
-SHRINKAGE = 0.05  # of the scatter within objects towards a multiple of the identity
+SHRINKAGE = 0.15  # of the scatter within objects towards a multiple of the identity
 LEAST_BETWEEN = (
     0.05  # variance between objects along an axis, relative to touches of one; less is left out
 )

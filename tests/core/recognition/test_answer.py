@@ -111,6 +111,6 @@ def test_the_metric_makes_touches_of_one_object_scatter_alike() -> None:
     assert made.shape == (2400, len(found.between))
     assert 3 <= made.shape[1] <= 4
     assert (np.diag(within) < 1.05).all()  # the shrinkage makes less of small scatter
-    assert (np.diag(within) > 0.6).all()
-    np.testing.assert_allclose(np.cov(means.T).diagonal(), found.between + 1 / 8, rtol=0.15)
+    assert (np.diag(within) > 0.4).all()
+    np.testing.assert_allclose(np.cov(means.T).diagonal(), found.between + 1 / 8, rtol=0.35)
     assert (np.diff(found.between) <= 0).all()
