@@ -80,6 +80,7 @@ PAGES = {
         profiles=("paper", *NETWORKS),
     ),
     "drag": Page({"": "tools.studies.drag --final"}),
+    "recognise": Page({"": "tools.studies.recognise --final"}, ("tacshade_edge/core/recognition",)),
     "sigma": Page({"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"}),
     "limits": Page(
         {

@@ -22,7 +22,7 @@ METRIC = "objects.npz"
 @cache
 def load_metric() -> Metric:
     """Load the shipped metric."""
-    path = resources.files("tacshade_edge.inference") / "weights" / METRIC
+    path = resources.files("tacshade_edge.inference") / METRIC
     with path.open("rb") as stream, np.load(stream) as file:
         values = {field.name: file[field.name] for field in fields(Metric)}
     arrays = {name: value.astype(np.float32) for name, value in values.items() if value.ndim}

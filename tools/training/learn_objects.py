@@ -171,7 +171,7 @@ def main(words: Sequence[str] | None = None) -> None:
     arrays: dict[str, Any] = {each.name: getattr(metric, each.name) for each in fields(metric)}
     arrays["axes"] = metric.axes.astype(np.float16)  # no description is as precise
     np.savez_compressed(stream, **arrays)
-    write_whole(WEIGHTS / METRIC, stream.getvalue())
+    write_whole(WEIGHTS.parent / METRIC, stream.getvalue())
     print(f"{len(names)} descriptions of {len(set(names))} solids, {metric.axes.shape} axes")
 
 
