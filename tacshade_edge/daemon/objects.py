@@ -31,7 +31,8 @@ class _Named:
 
 
 class ObjectEvents(FrameObserver):
-    """Publishes ``event/object`` when an object's name has settled, and tells the robot, if there is one.
+    """Publishes ``event/object`` when an object's name has settled, and tells the robot, if there
+    is one.
 
     It requests depth only if something was taught and a robot or a subscriber wants the names.
     """
@@ -88,7 +89,9 @@ class TaughtObjects:
         self._written = _written(self._path)
 
     def changed(self) -> Known | None:
-        """The objects, if they have changed since the last call; None if not, or if they cannot be read."""
+        """The objects, if they have changed since the last call; None if not, or if they cannot be
+        read.
+        """
         written = _written(self._path)
         if written == self._written:
             return None

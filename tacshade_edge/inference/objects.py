@@ -1,4 +1,6 @@
-"""The shipped metric of recognition (tools/training/learn_objects.py), and what names a frame's objects with it."""
+"""The shipped metric of recognition (tools/training/learn_objects.py), and what names a frame's
+objects with it.
+"""
 
 from __future__ import annotations
 

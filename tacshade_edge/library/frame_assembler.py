@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,9 +17,11 @@ from tacshade_edge.protocol.topics import (
     OF_SENSORS,
     Contact,
     Info,
+    ObjectEvent,
     TouchNumbers,
     decode_contact,
     decode_info,
+    decode_object_event,
     decode_state,
     decode_touch,
 )
@@ -37,7 +39,7 @@ from tacshade_edge.types import (
 )
 
 _STREAMS: Final = ("height", "cloud", "shear", "sigma")
-TOPICS: Final = (*_STREAMS, "touch", "contact", "info", "state")
+TOPICS: Final = (*_STREAMS, "touch", "contact", "event/object", "info", "state")
 _SEQ: Final = struct.Struct("<8xI")
 
 
@@ -70,6 +72,7 @@ class FrameAssembler:
         self._latest: dict[str, bytes] = {}
         self._touch: TouchNumbers | None = None
         self._newest: _Whole | None = None
+        self._named: dict[int, ObjectEvent] = {}  # of this contact, by label
 
     @property
     def whole(self) -> bool:
@@ -82,6 +85,9 @@ class FrameAssembler:
             self._latest[topic] = payload
         elif topic == "touch":
             self._touch = decode_touch(payload)
+        elif topic == "event/object":
+            event = decode_object_event(payload)
+            self._named[event.label] = event
         elif topic == "state":
             self.state = decode_state(payload)
         elif topic == "info":
@@ -95,6 +101,8 @@ class FrameAssembler:
 
     def _add(self, contact: Contact) -> None:
         """Complete a frame: ``contact`` is the last message that a daemon sends for it."""
+        if not contact.contact:
+            self._named.clear()
         seq = contact.seq & 0xFFFFFFFF
         streams = {
             name: data
@@ -142,6 +150,7 @@ class FrameAssembler:
             self._height = _untouched(self._height)
         else:
             self._height, objects, volume_mm3 = _touched(height, points, shear_mm, geometry)
+            objects = tuple(self._with_name(each) for each in objects)
         made = Reconstruction(
             seq=contact.seq,
             t_ns=contact.t_ns,
@@ -163,6 +172,12 @@ class FrameAssembler:
         if made.valid:
             made = follow(self._tracker, made)
         return result_of(made, geometry, height.pose if height else None, None)
+
+    def _with_name(self, touched: TouchedObject) -> TouchedObject:
+        named = self._named.get(touched.label)
+        if named is None:
+            return touched
+        return replace(touched, name=named.name, probability=named.probability)
 
 
 def _touched(

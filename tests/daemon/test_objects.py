@@ -1,4 +1,6 @@
-"""Which taught objects touch: `event/object`, the robot's event, and the file that `teach` writes."""
+"""Which taught objects touch: `event/object`, the robot's event, and the file
+that `teach` writes.
+"""
 
 from __future__ import annotations
 

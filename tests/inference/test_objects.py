@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
 
+from tacshade_edge.core.geometry.disc import cells_that_see
 from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.recognition.description import describe
 from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.factories import calibrations
@@ -49,6 +52,28 @@ def test_taught_objects_are_named(known: Known) -> None:
     assert (bar.name, bar.probability) == (None, None)
 
 
+def test_parts_of_one_thing_take_its_name_and_things_of_their_own_keep_theirs(
+    known: Known,
+) -> None:
+    made = make_reconstructor(calibrated(), PROFILES["fast"])
+    two = step(made, "two_balls")
+    assert len(two.objects) == 2
+    whole = describe_touch(two.height, made.rays, made.calibration.geometry)
+    assert whole is not None
+    dumbbell = objects_file.taught(known, "fast", "dumbbell", np.stack([whole, whole]))
+    made = make_reconstructor(replace(calibrated(), known=dumbbell), PROFILES["fast"])
+    assert [each.name for each in step(made, "two_balls").objects] == ["dumbbell"] * 2
+
+    first = two.cloud.points_mm[two.cloud.labels == 1]
+    grid = made.grid
+    cells = cells_that_see(first, grid, made.calibration.geometry)
+    part = describe(two.height.height_mm, cells, made.rays, made.calibration.geometry)
+    assert part is not None
+    balls = objects_file.taught({}, "fast", "small_ball", np.stack([part, part]))
+    made = make_reconstructor(replace(calibrated(), known=balls), PROFILES["fast"])
+    assert [each.name for each in step(made, "two_balls").objects] == ["small_ball"] * 2
+
+
 def test_another_profile_knows_nothing_of_them(known: Known) -> None:
     made = make_reconstructor(replace(calibrated(), known=known), PROFILES["balanced"])
     assert made.namer is None
@@ -79,7 +104,7 @@ def test_the_shipped_metric_is_whole() -> None:
 @pytest.mark.slow
 def test_nothing_of_it_is_imported_without_taught_objects() -> None:
     code = (
-        "import sys; from tests.support.calibrated_sensor import calibrated, pressed;"
+        "import sys; from support.calibrated_sensor import calibrated, pressed;"
         "from tacshade_edge.core.profiles import PROFILES;"
         "from tacshade_edge.inference.network import make_reconstructor;"
         "from tacshade_edge.types import Frame;"
@@ -88,4 +113,5 @@ def test_nothing_of_it_is_imported_without_taught_objects() -> None:
         "assert not [name for name in sys.modules if 'recognition' in name]"
     )
     root = Path(__file__).parents[2]
-    subprocess.run([sys.executable, "-c", code], cwd=root, check=True)
+    environment = os.environ | {"PYTHONPATH": str(root / "tests")}
+    subprocess.run([sys.executable, "-c", code], cwd=root, env=environment, check=True)

@@ -219,3 +219,39 @@ def test_what_does_not_fit_together_passes_a_frame_over() -> None:
     frames.add("contact", messages.encode_contact(TOUCHED, fps=30.0))
     assert frames.take() is None
     assert frames.passed_over == 2
+
+
+def test_objects_have_the_names_that_the_daemon_published_until_the_contact_ends() -> None:
+    touching = of(TOUCHED, 7)
+    named = replace(TOUCHED.objects[0], name="nut_m8", probability=0.97)
+    event = "event/object", messages.encode_object(touching, named)
+    info = (
+        "info",
+        messages.encode_info(
+            version="1", config_digest="", profile="fast", calibration=published_calibration()
+        ),
+    )
+    frames = FrameAssembler()
+
+    def names(*sent: tuple[str, bytes]) -> list[tuple[str | None, float | None]]:
+        for topic, payload in sent:
+            frames.add(topic, payload)
+        result = frames.take()
+        assert result is not None
+        return [(each.name, each.probability) for each in result.objects[:1]]
+
+    assert names(info, *own(touching)) == [(None, None)]
+    assert names(event, *own(of(TOUCHED, 8))) == [("nut_m8", 0.97)]
+    assert names(*own(of(TOUCHED, 9))) == [("nut_m8", 0.97)]
+    assert names(*own(of(bump(10, 0.0, 236.0, 328.0, 8), 10))) == []
+    assert names(*own(of(TOUCHED, 11))) == [(None, None)]
+
+
+def own(result: Reconstruction) -> list[tuple[str, bytes]]:
+    """The messages of a frame of the published sensor."""
+    crc32 = wire.Taken(calibration_crc32=CRC, pose=None, pose_error_us=0)
+    return [
+        ("height", wire.encode_height(result, **crc32)),
+        *([("cloud", wire.encode_cloud(result, **crc32))] if result.contact else []),
+        ("contact", messages.encode_contact(result, fps=1.0)),
+    ]

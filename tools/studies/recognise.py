@@ -4,8 +4,9 @@
 
     .venv/bin/python -m tools.studies.recognise [--profile NAME...] [--sensors SEED,... | --final]
 
-Every sensor in turn is taught the objects of a set by some touches of each, and all others are touched by these objects
-and by strangers, which nobody taught. No object and no sensor is among those from which the metric was learned.
+Every sensor in turn is taught the objects of a set by some touches of each, and all others are
+touched by these objects and by strangers, which nobody taught. No object and no sensor is among
+those from which the metric was learned.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ CONFUSED = 3  # names that a row lists
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """Descriptions (touches, D) of the touches of one object by one profile, and the time of each, ms."""
+    """Descriptions (touches, D) of the touches of one object by one profile, and the time of each,
+    ms.
+    """
 
     sensor: str
     profile: str
@@ -63,7 +66,9 @@ class Described:
 
 @dataclass(frozen=True, slots=True)
 class AnswerRow:
-    """An answer; `name` is empty for unknown, `nearest` the likeliest object if none could be unknown."""
+    """An answer; `name` is empty for unknown, `nearest` the likeliest object if none could be
+    unknown.
+    """
 
     set: str
     profile: str

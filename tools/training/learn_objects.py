@@ -41,7 +41,9 @@ FAMILIES = (
 """Of the sensors, in turn."""
 FIRST_SEED = 500_000
 NUMBERS = (*range(11), 12, 13, *range(30, 37))
-"""Of the sensors, counted from `FIRST_SEED`; the picture of number 11 seems pressed, so it is not calibrated."""
+"""Of the sensors, counted from `FIRST_SEED`; the picture of number 11 seems pressed, so it is not
+calibrated.
+"""
 SOLIDS, TOUCHES = 600, 180
 """Number of solids, and of touches of each sensor, with solids drawn at random."""
 PRESSES = (0, 40)  # of the sensors' calibrations, in turn
@@ -102,8 +104,9 @@ def described(path: Path) -> tuple[list[str], list[F32]]:
 
 
 def own_scores(metric: Metric, descriptions: F32, objects: Sequence[str]) -> tuple[F32, float]:
-    """Scores of touches with their own object after 1 to `TAUGHT_MAX` taught it, at `LEVELS` levels, and the trust that
-    makes probabilities right, on touches and objects that the metric has not seen.
+    """Scores of touches with their own object after 1 to `TAUGHT_MAX` taught it, at `LEVELS`
+    levels, and the trust that makes probabilities right, on touches and objects that the metric has
+    not seen.
     """
     places = coordinates(metric, descriptions).astype(np.float64)
     rng = np.random.default_rng(1)
@@ -125,7 +128,9 @@ def own_scores(metric: Metric, descriptions: F32, objects: Sequence[str]) -> tup
 
 
 def _trust(table: F64, own: I64) -> float:
-    """The factor on scores under which the own object among twenty, or none of them, is likeliest."""
+    """The factor on scores under which the own object among twenty, or none of
+    them, is likeliest.
+    """
     rng = np.random.default_rng(2)
     losses = np.zeros(len(TRUSTS))
     for row, truth in zip(table, own, strict=True):

@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a line for each object, or one for all images; return 1 if an image could not be used."""
+    """Print a line for each object, or one for all images; return 1 if an image could
+    not be used.
+    """
     images = images_in(args.images)
     calibration = calibrations.load(args.calibration)
     known = calibration.known.get(args.profile)

@@ -21,7 +21,9 @@ TOO_LIGHT = "found no touch that is firm enough to show a form"
 
 @dataclass(frozen=True, slots=True)
 class TouchedImage:
-    """An image, each profile's reconstruction, and its description of the touch; None if it shows none."""
+    """An image, each profile's reconstruction, and its description of the touch; None if it shows
+    none.
+    """
 
     path: Path
     results: dict[str, Reconstruction]

@@ -15,7 +15,9 @@ UNKNOWN_PART = 0.05  # of the touches of known objects that may be called unknow
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The name of the object, and the probability that it is right; None if the object is unknown."""
+    """The name of the object, and the probability that it is right; None if the
+    object is unknown.
+    """
 
     name: str | None = None
     probability: float | None = None
@@ -25,7 +27,8 @@ UNKNOWN = Answer()
 
 
 def scores(between: F32, taught: F64, counts: F64, seen: F64, touches: int = 1) -> F64:
-    """Score means `seen` (N, d) of so many touches against means `taught` (K, d) of `counts` (K,) touches: (N, K).
+    """Score means `seen` (N, d) of so many touches against means `taught` (K, d) of `counts` (K,)
+    touches: (N, K).
 
     A score is the logarithm of how much likelier they show that object than any other.
     """

@@ -1,13 +1,17 @@
-"""Describe what touches by numbers that do not change when it is turned about z, and little with place and depth.
+"""Describe what touches by numbers that do not change when it is turned about z, and little with
+place and depth.
 
-The skin in contact lies on the object, so in the sensor frame it is a piece of the object's own surface, whatever dome
-was pressed. Three kinds of numbers describe it:
+The skin in contact lies on the object, so in the sensor frame it is a piece of the object's own
+surface, whatever dome was pressed. Three kinds of numbers describe it:
 
-- On rings around the middle of the contact, magnitudes of the harmonics of the angle of three fields: where the skin
-  touches, how far the object's surface rises above its lowest point, and how deep the skin is.
-- Wherever the middle may be: how much of the contact has which slope and which curvatures, and harmonics of the
-  directions of its outline, edges and slopes, by which straight sides differ from round ones.
-- Moments of the contact, a quadric fitted to its form, its outline, and the depth and place of the press.
+- On rings around the middle of the contact, magnitudes of the harmonics of the angle of three
+  fields: where the skin touches, how far the object's surface rises above its lowest point, and how
+  deep the skin is.
+- Wherever the middle may be: how much of the contact has which slope and which curvatures, and
+  harmonics of the directions of its outline, edges and slopes, by which straight sides differ from
+  round ones.
+- Moments of the contact, a quadric fitted to its form, its outline, and the depth and place of the
+  press.
 """
 
 from __future__ import annotations
@@ -119,8 +123,8 @@ def _on_rings(dx: F32, dy: F32, fields: F32) -> F32:
 
 
 def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
-    """What the contact is made of: parts of slopes and curvatures, harmonics of directions, bends in all and length of
-    the outline.
+    """What the contact is made of: parts of slopes and curvatures, harmonics of directions, bends
+    in all and length of the outline.
     """
     side = math.sqrt(float(weight[own].mean()))
     smooth = cv2.GaussianBlur(z, (0, 0), max(SMOOTHING_MM / side, LEAST_SMOOTHING))
@@ -177,7 +181,9 @@ def _parts(values: F32, share: F32, classes: F32) -> F64:
 
 
 def _directions(x: F32, y: F32, weight: F32) -> F64:
-    """Magnitudes (`DIRECTIONS`,) of the harmonics of vectors' directions: all 1 where these are the same."""
+    """Magnitudes (`DIRECTIONS`,) of the harmonics of vectors' directions: all 1 where these are the
+    same.
+    """
     some = np.flatnonzero(weight > _NOTHING)
     if not some.size:
         return np.zeros(DIRECTIONS)
@@ -189,8 +195,8 @@ def _directions(x: F32, y: F32, weight: F32) -> F64:
 
 
 def _powers(x: F32, y: F32, cosines: F32, sines: F32) -> None:
-    """Fill the cosines and sines (orders, N) of 1, 2, 3 ... times the angles of vectors (N,): each order is the product
-    of the one before and the first, far cheaper than trigonometric functions.
+    """Fill the cosines and sines (orders, N) of 1, 2, 3 ... times the angles of vectors (N,): each
+    order is the product of the one before and the first, far cheaper than trigonometric functions.
     """
     length = np.maximum(np.sqrt(x * x + y * y), np.float32(_NOTHING))
     cosine, sine = x / length, y / length
@@ -202,7 +208,9 @@ def _powers(x: F32, y: F32, cosines: F32, sines: F32) -> None:
 
 
 def _moments(dx: F32, dy: F32, inside: F32, area: float) -> tuple[float, ...]:
-    """Root of each principal second moment, mm, their ratio, a fourth moment, fullness of the ellipse, log of area."""
+    """Root of each principal second moment, mm, their ratio, a fourth moment, fullness of the
+    ellipse, log of area.
+    """
     xx, yy, xy = (float((inside * a * b).sum()) / area for a, b in ((dx, dx), (dy, dy), (dx, dy)))
     middle, apart = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
     r2 = dx * dx + dy * dy
@@ -213,8 +221,8 @@ def _moments(dx: F32, dy: F32, inside: F32, area: float) -> tuple[float, ...]:
 
 
 def _quadric(dx: F32, dy: F32, rise: F32, weight: F32) -> tuple[float, ...]:
-    """Slope, mean and difference of the curvatures (1/mm) of a quadric fitted to the form, the RMS that it leaves and
-    that a plane leaves, and the greatest rise, mm.
+    """Slope, mean and difference of the curvatures (1/mm) of a quadric fitted to the form, the RMS
+    that it leaves and that a plane leaves, and the greatest rise, mm.
     """
     terms = np.stack((np.ones_like(dx), dx, dy, dx * dx + dy * dy, dx * dx - dy * dy, 2 * dx * dy))
     weighted = terms * weight
@@ -230,8 +238,8 @@ def _quadric(dx: F32, dy: F32, rise: F32, weight: F32) -> tuple[float, ...]:
 
 
 def _outline(own: Bool) -> tuple[float, ...]:
-    """Log of the number of parts; of the convex hull, what touches and what is hollow; length of the
-    outline against that of a disc.
+    """Log of the number of parts; of the convex hull, what touches and what is hollow; length of
+    the outline against that of a disc.
     """
     contours, levels = cv2.findContours(own.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     is_hole = levels[0][:, 3] >= 0

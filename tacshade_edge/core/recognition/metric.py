@@ -1,8 +1,10 @@
-"""Learn from many objects how touches of one object differ, and how objects do: the metric of recognition.
+"""Learn from many objects how touches of one object differ, and how objects do: the metric of
+recognition.
 
-A description is linear in two unknowns, the object's own and the touch's, each normally distributed (probabilistic
-linear discriminant analysis: Ioffe 2006, Prince and Elder 2007). In the metric's coordinates, touches of one object
-scatter about it with unit covariance, and objects scatter about 0 with a variance along each axis.
+A description is linear in two unknowns, the object's own and the touch's, each normally distributed
+(probabilistic linear discriminant analysis: Ioffe 2006, Prince and Elder 2007). In the metric's
+coordinates, touches of one object scatter about it with unit covariance, and objects scatter about
+0 with a variance along each axis.
 """
 
 from __future__ import annotations
@@ -22,10 +24,11 @@ LEAST_BETWEEN = (
 class Metric:
     """Coordinates in which touches of one object scatter alike.
 
-    Float32 arrays: `middle` and `spread` (D,) standardise a description, `axes` (D, d) and `origin` (d,) turn it into
-    coordinates, `between` (d,) is the variance of objects along each axis; that of touches of one object is 1. `scores`
-    (n, levels), ascending, are scores (`answer.scores`) of touches with their own object after 1 to n touches taught
-    it; `trust` multiplies a score to give the logarithm of how much likelier the object is than another one.
+    Float32 arrays: `middle` and `spread` (D,) standardise a description, `axes` (D, d) and `origin`
+    (d,) turn it into coordinates, `between` (d,) is the variance of objects along each axis; that
+    of touches of one object is 1. `scores` (n, levels), ascending, are scores (`answer.scores`) of
+    touches with their own object after 1 to n touches taught it; `trust` multiplies a score to give
+    the logarithm of how much likelier the object is than another one.
     """
 
     middle: F32
@@ -44,7 +47,9 @@ def coordinates(metric: Metric, descriptions: F32) -> F32:
 
 
 def learn_metric(descriptions: F32, objects: I64) -> Metric:
-    """Learn a metric from descriptions (N, D) and their objects' numbers (N,), without scores and trust."""
+    """Learn a metric from descriptions (N, D) and their objects' numbers (N,), without scores and
+    trust.
+    """
     middle = np.median(descriptions, axis=0)
     spread = np.maximum(descriptions.std(axis=0), 1e-6)
     standard = np.clip((descriptions - middle) / spread, -CLIP, CLIP).astype(np.float64)

@@ -34,8 +34,8 @@ def name_objects(
     rays: DiscRays,
     geometry: Geometry,
 ) -> tuple[TouchedObject, ...]:
-    """Give the objects (at least one) their names. Parts of one thing, such as the studs of a brick,
-    take its name where they are more surely that thing than each is a thing of its own.
+    """Give the objects (at least one) their names. Parts of one thing, such as the studs of a
+    brick, take its name where they are more surely that thing than each is a thing of its own.
     """
     whole = _answer(recogniser, describe_touch(height, rays, geometry))
     if len(objects) == 1:

@@ -1,4 +1,6 @@
-"""The objects that a sensor was taught: one ``.npz`` file next to its calibration, the same for every sensor."""
+"""The objects that a sensor was taught: one ``.npz`` file next to its calibration, the same for
+every sensor.
+"""
 
 from __future__ import annotations
 
@@ -70,9 +72,8 @@ def load(path: Path) -> Known:
     content = npz.read(str(path), "file of objects", "`tacshade-edge teach`")
     if content.meta.get("version") != VERSION:
         found = shown(content.meta.get("version"), 20)
-        raise ConfigError(
-            f"{path}: found version {found} of the objects, expected {VERSION}; delete it and teach again"
-        )
+        expected = f"expected {VERSION}; delete it and teach again"
+        raise ConfigError(f"{path}: found version {found} of the objects, {expected}")
     try:
         return _objects(content)
     except ValueError as error:
@@ -107,7 +108,9 @@ def _of_profile(counts: Sequence[tuple[str, int]], touches: Any) -> tuple[KnownO
 
 
 def taught(known: Known, profile: str, name: str, touches: Any) -> Known:
-    """The objects with more touches, float32 (n, D), of one of them or of a new one. Raises ConfigError (too many)."""
+    """The objects with more touches, float32 (n, D), of one of them or of a new one. Raises
+    ConfigError (too many).
+    """
     objects = {each.name: each for each in known.get(profile, ())}
     before = objects.get(name)
     whole = touches if before is None else np.concatenate((before.touches, touches))

@@ -1,8 +1,12 @@
-"""`teach` and `recognise`, with the images of a simulated sensor, and `teach --live` with its camera."""
+"""`teach` and `recognise`, with the images of a simulated sensor, and `teach --live` with its
+camera.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +14,15 @@ import cv2
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.progress_lines import without_progress
-from support.published_sensor import bump
+from support.published_sensor import DISC, PublishedSensor, bump
 
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.cli.commands.teach import deepest_of_each
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.storage.calibration import calibration_file, objects_file
 from tacshade_edge.types import Geometry
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker
+from tools.testbed.patience import wait_until
 
 PROFILES = ("accurate", "balanced", "fast")
 
@@ -182,3 +188,33 @@ def test_live_touches_of_the_camera(
     captured = capsys.readouterr()
     assert "touch 2 of 2: " in captured.out
     assert "no daemon is heard, so the camera is opened" in captured.err
+
+
+@pytest.mark.slow
+@pytest.mark.broker
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_live_touches_of_the_running_daemon(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.yaml"
+    ended: list[int] = []
+    with Broker(tmp_path) as broker, PublishedSensor(broker.port, "drawn") as sensor:
+        config.write_text(
+            f"sensor_id: drawn\ncalibration: {calibration}\nsource: {{kind: simulated}}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+        )
+        words = ["teach", "nut", "--live", "--touches", "2", "--config", str(config)]
+        thread = threading.Thread(target=lambda: ended.append(main(words)))
+        thread.start()
+        seq = itertools.count()
+
+        def pressed_again() -> bool:
+            for depth_mm in (0.0, 1.5, 2.5, 0.0):
+                sensor.show(bump(next(seq), depth_mm, DISC.row_c, DISC.col_c, 4))
+            return bool(ended)
+
+        wait_until(pressed_again, 20, "two touches")
+        thread.join()
+    assert ended == [0]
+    assert taught(calibration) == {"fast": {"nut": 2}}
+    assert "touch 2 of 2: " in capsys.readouterr().out

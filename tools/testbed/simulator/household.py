@@ -1,4 +1,6 @@
-"""Twenty household objects as solids, in life size, each with the side down that a hand would press on the skin."""
+"""Twenty household objects as solids, in life size, each with the side down that a hand would press
+on the skin.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def rectangle(length_mm: float, width_mm: float) -> Outline:
 
 
 def regular(corners: int, across_mm: float) -> Outline:
-    """A regular polygon with a flat side towards -y and this distance from the middle to each side, twice."""
+    """A regular polygon with a flat side towards -y and this distance from the middle to each side,
+    twice.
+    """
     radius_mm = across_mm / 2 / math.cos(math.pi / corners)
     angles = (2 * np.arange(corners) + 1) * math.pi / corners - math.pi / 2
     return polygon([(radius_mm * math.cos(a), radius_mm * math.sin(a)) for a in angles])
@@ -92,7 +96,9 @@ def _both(one: F64, other: F64) -> F64:
 
 
 def _teeth(tops_mm: Sequence[float], pitch_mm: float) -> Outline:
-    """The toothed edge of a key over x and z: a point down at each of these heights, notches of 45° between them."""
+    """The toothed edge of a key over x and z: a point down at each of these heights, notches of 45°
+    between them.
+    """
     corners, left = [], -pitch_mm * len(tops_mm) / 2
     for k, top in enumerate(tops_mm):
         x = left + k * pitch_mm

@@ -1,4 +1,6 @@
-"""Touches of solids as a hand makes them: anywhere near the tip, light or firm, turned, half of them dragged."""
+"""Touches of solids as a hand makes them: anywhere near the tip, light or firm, turned, half of
+them dragged.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ def draw_touch(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenTouches:
-    """One profile's maps of a sensor's touches: heights (n, rows, cols), contact, and what places their cells."""
+    """One profile's maps of a sensor's touches: heights (n, rows, cols), contact, and what places
+    their cells.
+    """
 
     heights_mm: Sequence[F32] | F32
     contact: Sequence[Bool] | Bool
