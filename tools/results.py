@@ -80,10 +80,6 @@ PAGES = {
         profiles=("paper", *NETWORKS),
     ),
     "drag": Page({"": "tools.studies.drag --final"}),
-    "recognise": Page(
-        {"": "tools.studies.recognise --final"},
-        code=("tacshade_edge/core/recognition",),
-    ),
     "sigma": Page({"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"}),
     "limits": Page(
         {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
 
-from tacshade_edge.core.geometry.disc import cells_that_see
+from tacshade_edge.core.geometry.disc import labels_by_cell
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.recognition.description import describe
 from tacshade_edge.core.recognition.naming import describe_touch
@@ -64,10 +64,9 @@ def test_parts_of_one_thing_take_its_name_and_things_of_their_own_keep_theirs(
     made = make_reconstructor(replace(calibrated(), known=dumbbell), PROFILES["fast"])
     assert [each.name for each in step(made, "two_balls").objects] == ["dumbbell"] * 2
 
-    first = two.cloud.points_mm[two.cloud.labels == 1]
-    grid = made.grid
-    cells = cells_that_see(first, grid, made.calibration.geometry)
-    part = describe(two.height.height_mm, cells, made.rays, made.calibration.geometry)
+    geometry, cloud = made.calibration.geometry, two.cloud
+    cells = labels_by_cell(cloud.points_mm, cloud.labels, made.grid, geometry) == 1
+    part = describe(two.height.height_mm, cells, made.rays, geometry)
     assert part is not None
     balls = objects_file.taught({}, "fast", "small_ball", np.stack([part, part]))
     made = make_reconstructor(replace(calibrated(), known=balls), PROFILES["fast"])

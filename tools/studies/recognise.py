@@ -30,7 +30,7 @@ from tacshade_edge.types import F32, Calibration, KnownObject
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS
 from tools.testbed.simulator.household import HOUSEHOLD
-from tools.testbed.simulator.object_touches import draw_touch, see_touches
+from tools.testbed.simulator.object_touches import SeenTouches, draw_touch, see_touches
 
 OTHERS = tuple(name for name in OBJECTS if name not in PAPER_OBJECTS)
 SETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -49,6 +49,7 @@ FORMS: dict[str, tuple[int, int]] = {
 """How many touches teach an object, and how many answer together."""
 FINAL = FINAL_SENSORS[:2] + FINAL_SENSORS[3:5]
 CONFUSED = 3  # names that a row lists
+REPEATED = 5  # times that descriptions are timed; the best counts, because others load the machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +93,17 @@ def describe(profiles: Sequence[str], task: tuple[SensorName, Calibration, str])
     with one_thread():
         seen = see_touches(sensor, calibration, presses, profiles)
         for profile, touches in seen.items():
-            began_s = time.thread_time()
             found = [each for each in touches.descriptions() if each is not None]
-            ms = 1e3 * (time.thread_time() - began_s) / TOUCHES
+            ms = min(_timed_ms(touches) for _ in range(REPEATED))
             made.append(Described(str(name), profile, object_name, np.stack(found), ms))
     return made
+
+
+def _timed_ms(touches: SeenTouches) -> float:
+    """Processor time of a description, ms."""
+    began_s = time.thread_time()
+    touches.descriptions()
+    return 1e3 * (time.thread_time() - began_s) / TOUCHES
 
 
 def _shape(name: str) -> Shape:
@@ -159,7 +166,7 @@ def text(ms: Mapping[str, float], rows: Sequence[AnswerRow]) -> str:
     times = [[profile, f"{each:.2f}"] for profile, each in ms.items()]
     whole = [
         markdown(head, lines),
-        "Processor time of a description, median",
+        f"Processor time of a description, median of the best of {REPEATED} times",
         markdown(["profile", "ms"], times),
         "Each object, 3 taught",
         markdown(["object", "profile", "right %", "taken for"], _by_object(rows)),

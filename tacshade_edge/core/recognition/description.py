@@ -58,15 +58,15 @@ def describe(height_mm: F32, touched: Bool, rays: DiscRays, geometry: Geometry) 
     area = float(inside.sum())
     x0, y0 = (float((inside * each).sum()) / area for each in (x, y))
     dx, dy = x - x0, y - y0
-    lowest = float(np.quantile(z[own], LOWEST_PART))
+    lowest = _lowest(z[own])
     rise = (z - np.float32(lowest)) * own
     depth = float(height[own].max())
     local = _local(z, own, weight, geometry)
-    fields = np.stack((inside, inside * rise, weight * height))
     fullness = float((inside * height).sum()) / area / max(depth, _NOTHING)
     numbers = np.concatenate(
         (
-            _on_rings(dx, dy, fields),
+            _on_rings(dx[own], dy[own], np.stack((inside[own], (inside * rise)[own]))),
+            _on_rings(dx.ravel(), dy.ravel(), (weight * height).reshape(1, -1)),
             local,
             _moments(dx, dy, inside, area),
             _quadric(dx[own], dy[own], rise[own], inside[own]),
@@ -75,6 +75,15 @@ def describe(height_mm: F32, touched: Bool, rays: DiscRays, geometry: Geometry) 
         )
     )
     return np.asarray(np.sign(numbers) * np.sqrt(np.abs(numbers)), np.float32)
+
+
+def _lowest(z: F32) -> float:
+    """The quantile `LOWEST_PART`, a tenth of what `np.quantile` costs."""
+    place = LOWEST_PART * (len(z) - 1)
+    low = int(place)
+    ordered = np.partition(z, (low, low + 1))
+    one, other = ordered[low : low + 2].tolist()
+    return float(one + (place - low) * (other - one))
 
 
 def _around(touched: Bool, rays: DiscRays, geometry: Geometry) -> tuple[slice, slice]:
@@ -104,17 +113,16 @@ def _cell_mm2(z: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def _on_rings(dx: F32, dy: F32, fields: F32) -> F32:
-    """Magnitudes (fields · RINGS · ORDERS,) of each field's harmonics of the angle on each ring,
-    per mm² of the ring.
+    """Magnitudes (fields · RINGS · ORDERS,) of the harmonics of the angle of fields (fields, N), on
+    each ring, per mm² of the ring.
     """
-    radius = np.sqrt(dx * dx + dy * dy).ravel()
+    radius = _length(dx, dy)
     near = np.flatnonzero(radius < RINGS * RING_MM)
-    radius = radius[near]
     waves = np.ones((2 * ORDERS - 1, len(near)), np.float32)
-    _powers(dx.ravel()[near], dy.ravel()[near], waves[1:ORDERS], waves[ORDERS:])
+    _powers(dx.take(near), dy.take(near), waves[1:ORDERS], waves[ORDERS:])
     rings = np.arange(RINGS, dtype=np.float32)[:, None]
-    hats = np.maximum(0, 1 - np.abs(radius / RING_MM - rings))
-    values = fields.reshape(len(fields), 1, -1)[:, :, near] * hats
+    hats = np.maximum(0, 1 - np.abs(radius.take(near) / np.float32(RING_MM) - rings))
+    values = fields[:, None, near] * hats
     sums = (values.reshape(-1, len(near)) @ waves.T).reshape(len(fields), RINGS, -1)
     made = np.abs(sums[..., :ORDERS])
     made[..., 1:] = np.hypot(sums[..., 1:ORDERS], sums[..., ORDERS:])
@@ -129,9 +137,9 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
     side = math.sqrt(float(weight[own].mean()))
     smooth = cv2.GaussianBlur(z, (0, 0), max(SMOOTHING_MM / side, LEAST_SMOOTHING))
     z_x, z_y = _gradient(smooth, side)
-    (xx, xy), (_, yy) = _gradient(z_x, side), _gradient(z_y, side)
-    mean, apart = _half(xx + yy), np.hypot(_half(xx - yy), xy)
-    slope = np.hypot(z_x, z_y)
+    (xx, xy), yy = _gradient(z_x, side), _gradient(z_y, side)[1]
+    mean, apart = _half(xx + yy), _length(_half(xx - yy), xy)
+    slope = _length(z_x, z_y)
     share = weight[own] / weight[own].sum()
     parts = (
         _parts(slope[own], share, _SLOPES),
@@ -141,19 +149,20 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
     blur = max(OUTLINE_SMOOTHING_MM / side, LEAST_OUTLINE_SMOOTHING)
     touched = cv2.GaussianBlur(own.astype(np.float32), (0, 0), blur)
     o_x, o_y = _gradient(touched, side)
-    outline = np.hypot(o_x, o_y)
+    outline = _length(o_x, o_y)
     bend = np.maximum(mean + apart - np.float32(2 / geometry.skin_radius_mm), 0) * (touched > 0.05)
-    directions = (
-        _directions(o_x, o_y, outline),
-        _directions(z_x, z_y, bend * weight),
-        _directions(z_x, z_y, slope * own * weight),
-        _directions(o_x, o_y, outline * bend),
-    )
+    sides = _directions(o_x, o_y, np.stack((outline, outline * bend)))
+    slopes = _directions(z_x, z_y, np.stack((bend * weight, slope * own * weight)))
     totals = (
         math.log(float((bend * weight).sum()) + 1e-3),
         math.log(float((outline * weight).sum()) + 1e-3),
     )
-    return np.concatenate((*parts, *directions, totals))
+    return np.concatenate((*parts, sides[0], *slopes, sides[1], totals))
+
+
+def _length(x: F32, y: F32) -> F32:
+    """The length of vectors in mm, for which `np.hypot` takes needless care of overflow."""
+    return np.asarray(np.sqrt(x * x + y * y))
 
 
 def _half(values: F32) -> F32:
@@ -180,25 +189,28 @@ def _parts(values: F32, share: F32, classes: F32) -> F64:
     )
 
 
-def _directions(x: F32, y: F32, weight: F32) -> F64:
-    """Magnitudes (`DIRECTIONS`,) of the harmonics of vectors' directions: all 1 where these are the
-    same.
+def _directions(x: F32, y: F32, weights: F32) -> F64:
+    """Magnitudes (sets, `DIRECTIONS`) of the harmonics of vectors' directions, for each set of
+    weights: all 1 where the directions are the same.
     """
-    some = np.flatnonzero(weight > _NOTHING)
+    flat = weights.reshape(len(weights), -1)
+    some = np.flatnonzero(flat.max(axis=0) > _NOTHING)
     if not some.size:
-        return np.zeros(DIRECTIONS)
-    known = weight.take(some)
+        return np.zeros((len(weights), DIRECTIONS))
+    known = flat[:, some]
     waves = np.empty((2 * DIRECTIONS, len(some)), np.float32)
     _powers(x.take(some), y.take(some), waves[:DIRECTIONS], waves[DIRECTIONS:])
-    sums = waves @ known
-    return np.asarray(np.hypot(sums[:DIRECTIONS], sums[DIRECTIONS:]) / known.sum(), float)
+    sums = known @ waves.T
+    sizes = np.hypot(sums[:, :DIRECTIONS], sums[:, DIRECTIONS:])
+    total = np.maximum(known.sum(axis=1, keepdims=True), _NOTHING)
+    return np.asarray(sizes / total, float)
 
 
 def _powers(x: F32, y: F32, cosines: F32, sines: F32) -> None:
     """Fill the cosines and sines (orders, N) of 1, 2, 3 ... times the angles of vectors (N,): each
     order is the product of the one before and the first, far cheaper than trigonometric functions.
     """
-    length = np.maximum(np.sqrt(x * x + y * y), np.float32(_NOTHING))
+    length = np.maximum(_length(x, y), np.float32(_NOTHING))
     cosine, sine = x / length, y / length
     cosines[0], sines[0] = cosine, sine
     for order in range(1, len(cosines)):
