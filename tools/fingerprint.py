@@ -60,18 +60,20 @@ def imported(programs: Iterable[str]) -> set[Path]:
         path = waiting.pop()
         if path not in found:
             found.add(path)
-            waiting += _imports_of(path)
+            waiting += _imports_of(path.read_bytes())
     return found
 
 
-@cache
 def tree_of(path: Path) -> str:
     """Digest a file's syntax tree."""
-    tree = ast.parse(path.read_bytes())
-    return hashlib.sha256("".join(_words(tree)).encode()).hexdigest()
+    return _tree_of(path.read_bytes())
 
 
 @cache
+def _tree_of(source: bytes) -> str:
+    return hashlib.sha256("".join(_words(ast.parse(source))).encode()).hexdigest()
+
+
 def _bytes_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -107,9 +109,9 @@ def _says_nothing(node: object, parent: ast.AST) -> bool:
 
 
 @cache
-def _imports_of(path: Path) -> tuple[Path, ...]:
+def _imports_of(source: bytes) -> tuple[Path, ...]:
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -52,6 +52,14 @@ def test_neither_format_nor_documentation_changes_a_tree(
     assert (trees[0] == trees[1]) is same
 
 
+def test_what_is_edited_while_a_page_is_made_counts(tmp_path: Path) -> None:
+    file = tmp_path / "one.py"
+    file.write_text(PROGRAM)
+    before = fingerprint.tree_of(file)
+    file.write_text(PROGRAM.replace("2", "3"))
+    assert fingerprint.tree_of(file) != before
+
+
 def test_a_program_has_the_helpers_that_it_imports_and_no_code_that_golden_results_pin() -> None:
     found = {
         path.relative_to(ROOT).as_posix() for path in fingerprint.imported(["tools.studies.sigma"])
