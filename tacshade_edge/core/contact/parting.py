@@ -23,6 +23,7 @@ CONVEX_PART = 0.92  # least part of its hull that a convex contact covers, by ce
 PARTS_MAX = 8
 LOBE_CELLS, LOBE_MM = 2.0, 1.2  # least inscribed radius of a lobe: less is noise of the outline
 CONTOUR_CELLS = 20  # length of the contour of two such lobes; shorter ones are not examined
+PEAK_CELLS = 5  # least number of cells of a lobe above its valley: fewer are noise
 VALLEY = 0.85  # least depth of a valley, in log odds: no gain makes up for a shallower one
 DISTANCE_ODDS = (
     3.0  # log odds, without a network, of a distance from the outline that is e times another
@@ -97,11 +98,10 @@ def _finer(parts: I64, own: Bool, step: int) -> I64:
 def covered_part(contour: I32) -> float:
     """The part of its convex hull that a contour's cells, with those of its holes, cover."""
     cells = cv2.contourArea(contour) + len(contour) / 2 + 1  # Pick's theorem
-    return float(cells / _hull_cells(contour))
+    return float(cells / _cells_in(cv2.convexHull(contour)))
 
 
-def _hull_cells(places: I32) -> float:
-    hull = cv2.convexHull(places)
+def _cells_in(hull: I32) -> float:
     return float(cv2.contourArea(hull) + cv2.arcLength(hull, closed=True) / 2 + 1)
 
 
@@ -152,28 +152,40 @@ def seeds(
     """The lobes, at least `least_cells` in radius, into which a contact falls apart: two or more, for each number of
     lobes those above the lowest level. `inner` is each cell's distance from the outline, in cells.
     """
-    by_distance = DISTANCE_ODDS * np.log(np.maximum(inner, 1))
-    known = by_distance if contact_logit is None else cv2.blur(contact_logit, (3, 3))
+    if contact_logit is None:
+        known = DISTANCE_ODDS * np.log(np.maximum(inner, np.float32(1)))
+    else:
+        known = cv2.blur(contact_logit, (3, 3))
     odds: F32 = np.where(own, known, -np.inf).astype(np.float32)
+    lowest, highest = float(odds[own].min()), float(odds.max())
+    levels = [lowest + (highest - lowest) * step / LEVELS for step in range(1, LEVELS)]
+    # Every third level crosses a valley that is deep enough: most contacts need no more.
+    if all(len(_lobes(odds, inner, level, least_cells)) < 2 for level in levels[1::3]):
+        return
     seen = {0, 1}
-    for level in np.linspace(float(odds[own].min()), float(odds.max()), LEVELS + 1)[1:-1]:
-        count, lobe_of = cv2.connectedComponents((odds > level).view(np.uint8), connectivity=8)
-        if count < 3:
-            continue
-        lobes = _lobes(count, lobe_of, inner, odds, float(level))
-        lobes = [one for one in lobes if one.radius >= least_cells and one.valley >= VALLEY]
+    for level in levels:
+        lobes = _lobes(odds, inner, level, least_cells)
         if len(lobes) not in seen and len(lobes) <= PARTS_MAX:
             seen.add(len(lobes))
             yield lobes
 
 
-def _lobes(count: int, lobe_of: I32, inner: F32, odds: F32, level: float) -> list[Lobe]:
+def _lobes(odds: F32, inner: F32, level: float, least_cells: float) -> list[Lobe]:
+    """The lobes above a level that are at least `least_cells` in radius and `VALLEY` high; none if there is one."""
+    count, lobe_of, boxes, _ = cv2.connectedComponentsWithStats(
+        (odds > level).view(np.uint8), connectivity=8
+    )
+    large = [k for k in range(1, count) if boxes[k, cv2.CC_STAT_AREA] >= PEAK_CELLS]
+    if len(large) < 2:
+        return []
     lobes = []
-    for number in range(1, count):
+    for number in large:
         inside = np.where(lobe_of == number, inner, 0)
         row, col = np.unravel_index(int(inside.argmax()), inside.shape)
         valley = float(odds[lobe_of == number].max()) - level
-        lobes.append(Lobe(int(row), int(col), float(inside[row, col]), valley))
+        lobe = Lobe(int(row), int(col), float(inside[row, col]), valley)
+        if lobe.radius >= least_cells and lobe.valley >= VALLEY:
+            lobes.append(lobe)
     return lobes
 
 
@@ -184,10 +196,11 @@ def k_means(x: F64, start: F64, radii_mm: F64) -> tuple[I64, F64]:
     """
     origin = x.mean(axis=0)
     points, centres = x - origin, start - origin
+    doubled = 2 * points
     assigned = np.full(len(x), -1)
     for _ in range(STEPS_MAX):
         offset = radii_mm * radii_mm - (centres * centres).sum(axis=1)
-        nearest = (2 * points @ centres.T + offset).argmax(axis=1)
+        nearest = (doubled @ centres.T + offset).argmax(axis=1)
         if (nearest == assigned).all():
             break
         assigned = nearest
@@ -215,12 +228,14 @@ def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> f
     parts = [places[assigned == number] for number in range(len(lobes))]
     if not all(map(len, parts)):
         return 0.0
-    wasted = [_hull_cells(part) - len(part) for part in parts]
+    hulls = [cv2.convexHull(_ends_of_rows(part)) for part in parts]
+    wasted = [_cells_in(hull) - len(part) for hull, part in zip(hulls, parts, strict=True)]
     masks = [_mask(part, inner) for part in parts]
     least = math.inf
     for i, j in combinations(range(len(lobes)), 2):
-        both = np.concatenate((parts[i], parts[j]))
-        gain = 1 - (wasted[i] + wasted[j]) / max(_hull_cells(both) - len(both), 1.0)
+        common = cv2.convexHull(np.concatenate((hulls[i], hulls[j])))
+        common_waste = _cells_in(common) - len(parts[i]) - len(parts[j])
+        gain = 1 - (wasted[i] + wasted[j]) / max(common_waste, 1.0)
         meeting = inner[(cv2.dilate(masks[i], _AROUND) & masks[j]).view(bool)]
         neck = math.log(
             min(lobes[i].radius, lobes[j].radius) / float(meeting.max(initial=LEAST_NECK_CELLS))
@@ -228,6 +243,12 @@ def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> f
         valley = min(lobes[i].valley, lobes[j].valley)
         least = min(least, valley + NECK_ODDS * max(neck, 0.0) + GAIN_ODDS * gain)
     return least
+
+
+def _ends_of_rows(places: I32) -> I32:
+    """The first and the last of each row of places (N, 2), which come row by row: these alone can be in a hull."""
+    first = np.flatnonzero(np.diff(places[:, 1], prepend=-1))
+    return np.concatenate((places[first], places[np.append(first[1:], len(places)) - 1]))
 
 
 def _mask(places: I32, inner: F32) -> U8:
