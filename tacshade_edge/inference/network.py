@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of
 from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.inference.onnx_weights import layout_of, values_of, with_values, with_weights_of
+from tacshade_edge.inference.sensor_layer import sensor_layer
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, FittedNetwork, Frame, Need
 
@@ -72,11 +73,7 @@ def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
         features.append(pooled)
         return answers
 
-    def sense(known: F32) -> F32:
-        answer: F32 = _session(once).run(None, {"known": known[None]})[0][0]
-        return answer
-
-    return Network(int(about["fold"]), int(about["cells"]), sense, run)
+    return Network(int(about["fold"]), int(about["cells"]), partial(sensor_layer, once), run)
 
 
 def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:

@@ -3,7 +3,7 @@
 # not possible.
 # The tests that need a missing package say so and are skipped.
 set -u
-packages=(mosquitto nodejs gcc strace qemu-system-x86 kmod busybox-static cpio v4l-utils systemd-container dbus chromium chromium-driver udev python3-systemd libsystemd-dev pkg-config "$@")
+packages=(mosquitto nodejs gcc strace qemu-system-x86 qemu-user kmod busybox-static cpio v4l-utils systemd-container dbus chromium chromium-driver udev python3-systemd libsystemd-dev pkg-config "$@")
 missing=()
 for p in "${packages[@]}"; do
   [ "$(dpkg-query -W -f='${db:Status-Status}' "$p" 2>/dev/null)" = installed ] || missing+=("$p")

@@ -34,10 +34,9 @@ ARM = (sys.executable, "-m", "tools.rig.arm64")
 GIVEN = Path(".rig/arm")  # below the tree, which is another folder there
 PYTHONS = ("3.11", "3.13")
 WORKERS = str(os.cpu_count() or 1)
-HEIGHT_MAX_MM = {"paper": 0.25, "fast": 0.1, "balanced": 0.1, "accurate": 0.1}
-"""Between the two machines, of any cell: other kernels of OpenCV's interpolation and of the networks' first layer, and
-its floats are rounded to codes."""
-WHITE_MAX_PART = 0.002
+HEIGHT_MAX_MM = {"paper": 0.01, "fast": 0.001, "balanced": 0.001, "accurate": 0.001}
+"""Between the two machines, of any cell: white and codes are the same, floats after them are not."""
+WHITE_MAX_PART = 0.0
 COUNT = 5
 # Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop
 # that waits and vector code that does not.

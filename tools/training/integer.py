@@ -24,6 +24,7 @@ import onnx
 import onnxruntime
 
 from tools.training.data import Data, batch, load, shards_in
+from tools.training.exact_graph import exact
 from tools.training.integer_graph import Channels, Graph, Network
 
 WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
@@ -92,6 +93,7 @@ def main() -> None:
     nodes, model = Graph(network, found).nodes, network.model
     del model.graph.node[:], model.graph.initializer[:], model.graph.value_info[:]
     model.graph.node.extend(nodes)
+    exact(model)
     out = path.with_suffix(".integer.onnx")
     out.write_bytes(model.SerializeToString())
     about["sha256"][out.name] = hashlib.sha256(out.read_bytes()).hexdigest()

@@ -67,8 +67,12 @@ class Binariser:
             least = ADAPTIVE_FLOOR * cv2.sumElems(parts)[0] / max(self._blocks, 1)
             # For a whole number grey, grey > t is grey > floor(t); no t comes near 256.
             whole = np.maximum(local, np.float32(least)).astype(np.uint8)
+            # EXACT: the same levels on every processor.
             cv2.resize(
-                whole, self._masked.shape[::-1], dst=self._threshold, interpolation=cv2.INTER_LINEAR
+                whole,
+                self._masked.shape[::-1],
+                dst=self._threshold,
+                interpolation=cv2.INTER_LINEAR_EXACT,
             )
             cv2.compare(self._masked, self._threshold, cv2.CMP_GT, dst=self._white)
         else:
