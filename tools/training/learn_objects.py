@@ -6,7 +6,7 @@
     .venv/bin/python -m tools.training.learn_objects --data out/objects
 
 It simulates the sensors whose files DATA lacks, so that it can be interrupted. No sensor and no
-solid of docs/results/recognise.md is among them.
+solid of `tools.studies.recognise` is among them.
 """
 
 from __future__ import annotations
