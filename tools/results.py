@@ -79,6 +79,14 @@ PAGES = {
         },
         profiles=("paper", *NETWORKS),
     ),
+    "paper": Page(
+        {
+            "": "tools.studies.paper --final --states out/third",
+            "A sensor that gives Table I": "tools.studies.identified",
+            "Experiment 2": "tools.studies.paper_pad --step 6",
+        },
+        drawn=("paper.png",),
+    ),
     "drag": Page({"": "tools.studies.drag --final"}),
     "sigma": Page({"": "tools.studies.sigma --final --objects large_crescent,cone,edge,ring"}),
     "limits": Page(

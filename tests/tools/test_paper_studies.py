@@ -12,8 +12,16 @@ from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.stitch.truth import Score
-from tools.studies import identify_tacshade, paper, paper_pad
-from tools.studies.identify_tacshade import READINGS, TRUE_ME_MM, Tried, agrees, drawn, loss
+from tools.studies import identified, identify_tacshade, paper, paper_pad
+from tools.studies.identify_tacshade import (
+    NEAR,
+    READINGS,
+    TRUE_ME_MM,
+    Tried,
+    agrees,
+    drawn,
+    loss,
+)
 from tools.studies.paper import Judged
 from tools.studies.paper_readings import (
     Reading,
@@ -80,6 +88,17 @@ def test_untouched_skin_joins_a_ball_unless_eq_9_saturates() -> None:
     }
     assert me_mm[False] > 4
     assert me_mm[True] < 1.5
+
+
+@pytest.mark.slow
+def test_the_identified_tacshade_gives_table_i() -> None:
+    what, me_mm = next(identified.by_the_paper())
+    assert what == "the identified TacShade"
+    ratios = np.array(me_mm) / np.array(TRUE_ME_MM)
+    assert (ratios < NEAR).all()
+    assert (ratios > 1 / NEAR).all()
+    assert np.argmin(me_mm) == PAPER_OBJECTS.index("ball")
+    assert np.argmax(me_mm) == PAPER_OBJECTS.index("cube")
 
 
 def test_slices_fill_a_crescent_without_its_rounded_edges() -> None:

@@ -15,17 +15,21 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.simulator.model import random_model
+from tacshade_edge.simulator.press import PAPER_OBJECTS
+from tacshade_edge.simulator.tacshade import TACSHADE
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, calibrated_sensor
 from tacshade_edge.studies.tables import new_figure
 from tacshade_edge.types import F32, Bool, Frame
+from tools.studies.identified import READING, tacshade_presses
 from tools.studies.paper_readings import PaperMapper, PressedObject, Reading, pressed_object
 
+IDENTIFIED, SENSOR_5 = "TacShade", "sensor 5"
 SHEET = (
-    *((5, name) for name in ("cube", "small_crescent", "ball", "large_crescent", "cylinder")),
-    *((21, name) for name in ("small_crescent", "ball", "cylinder")),
+    *((IDENTIFIED, name) for name in PAPER_OBJECTS),
+    *((SENSOR_5, name) for name in ("cube", "small_crescent", "ball")),
 )
-"""The sensors' seeds and the objects: all five where the method fails on three, and three where it does not."""
+"""Table I's objects on the identified TacShade, and three of them on a sensor where the method fails on two."""
 DEPTH_MM = 3.0
 COLUMNS = ("picture", "g_d, eq. 9", "g_h, eq. 10", "paper, own α", "accurate", "truth")
 SIDE_PX = 140
@@ -63,19 +67,29 @@ def sheet() -> bytes:
 
 
 def _lines() -> Iterator[tuple[str, list[_Map]]]:
-    for seed in dict.fromkeys(seed for seed, _ in SHEET):
-        sensor = SimulatedSensor(random_model(seed))
-        calibration = calibrated_sensor(sensor, seed, REFERENCES, PRESSES).calibration
-        mapper = PaperMapper(calibration, Reading().profile)
+    sensors = {
+        IDENTIFIED: (SimulatedSensor(TACSHADE), READING),
+        SENSOR_5: (SimulatedSensor(random_model(5)), Reading()),
+    }
+    for title, (sensor, reading) in sensors.items():
+        calibration = calibrated_sensor(sensor, 0, REFERENCES, PRESSES).calibration
+        mapper = PaperMapper(calibration, reading.profile)
         accurate = make_reconstructor(calibration, PROFILES["accurate"])
-        for name in (name for at, name in SHEET if at == seed):
-            one = pressed_object(sensor, name, DEPTH_MM)
-            yield f"{name.replace('_', ' ')}, sensor {seed}", _maps(mapper, accurate, one)
+        names = [name for at, name in SHEET if at == title]
+        if title == IDENTIFIED:
+            pressed = [one for one in tacshade_presses(sensor) if one.name in names]
+        else:
+            pressed = [pressed_object(sensor, name, DEPTH_MM) for name in names]
+        for one in pressed:
+            maps = _maps(mapper, accurate, one, saturates=reading.saturates)
+            yield f"{one.name.replace('_', ' ')}, {title}", maps
 
 
-def _maps(mapper: PaperMapper, accurate: Reconstructor, one: PressedObject) -> list[_Map]:
+def _maps(
+    mapper: PaperMapper, accurate: Reconstructor, one: PressedObject, *, saturates: bool
+) -> list[_Map]:
     maps = mapper.maps(one.image)
-    made = mapper.made(maps, one.truth.depth_max_mm)
+    made = mapper.made(maps, one.truth.depth_max_mm, saturates=saturates)
     inside, box = maps.inside, mapper.preprocessor.window
     most = float(np.abs(maps.g_d[inside]).max())
     result = accurate.step(Frame(0, 0, 0, one.image))
@@ -91,12 +105,12 @@ def _maps(mapper: PaperMapper, accurate: Reconstructor, one: PressedObject) -> l
         cols = np.rint(height.col0 + height.step_px * np.arange(cells[0])).astype(int)
         return values[np.ix_(rows, cols)]
 
-    span_mm = (0.0, DEPTH_MM)
+    span_mm = (0.0, one.truth.depth_max_mm)
     picture = box.cut(cv2.cvtColor(one.image, cv2.COLOR_BGR2GRAY)).astype(np.float32)
     return [
         _Map(picture, (0, 255), "gray"),
         _Map(seen(maps.g_d), (-most, most), "RdBu_r"),
-        _Map(seen(finite_shape_grey(maps)[0]), (0, 1), "viridis"),
+        _Map(seen(finite_shape_grey(made.maps)[0]), (0, 1), "viridis"),
         _Map(seen(made.height_mm), span_mm, "viridis", made.contact),
         _Map(result.height.height_mm, span_mm, "viridis", result.height.contact),
         _Map(to_map(one.truth.height_mm), span_mm, "viridis", to_map(one.truth.contact)),

@@ -29,12 +29,14 @@ from tacshade_edge.simulator import pad as pads
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
 from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.simulator.tacshade import OBJECT_SCALE, TACSHADE
 from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import png
 from tacshade_edge.storage.tables import frame_table, presses
 from tacshade_edge.studies.parallel import reported_map, workers
 
+MODELS = ("default", "tacshade")
 REFERENCES = 8
 """Number of reference images in a calibration set."""
 PRESS_KEYS = (
@@ -102,8 +104,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0
     )
+    which = parser.add_mutually_exclusive_group()
     add_option(
-        parser, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT
+        which, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT
+    )
+    which.add_argument(
+        "--model",
+        choices=MODELS,
+        default=MODELS[0],
+        help="default, or tacshade: one on which the paper's method errs about as in its Table I",
     )
     add_cluster(parser)
 
@@ -113,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
     if args.cluster is not None and args.pad is None:
         args.parser.error("--cluster requires --pad: the other images take seconds")
-    model = SensorModel() if args.sensor_seed is None else random_model(args.sensor_seed)
+    model = _model(args.model, args.sensor_seed)
     sensor = SimulatedSensor(model)
     with disk_errors(Path()):
         if args.calibration_set is not None:
@@ -126,6 +135,12 @@ def run(args: argparse.Namespace) -> int:
         if args.pad is not None:
             write_pad(model, args.pad, args.pad_step, _PAD_DEPTH_MM, args.seed, args.cluster)
     return 0
+
+
+def _model(name: str, sensor_seed: int | None) -> SensorModel:
+    if sensor_seed is not None:
+        return random_model(sensor_seed)
+    return SensorModel() if name == MODELS[0] else TACSHADE
 
 
 def _write_sensor(model: SensorModel, folder: Path) -> None:
@@ -196,9 +211,10 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     ]
     args.out.mkdir(parents=True, exist_ok=True)
     rows, progress = [], Progress()
+    scale = 1.0 if args.model == MODELS[0] else OBJECT_SCALE
     for k, (name, numbers) in enumerate(scenes):
         known = dict(zip(PRESS_KEYS, numbers, strict=True))
-        objects = () if name == "none" else (Press(OBJECTS[name](), **known),)
+        objects = () if name == "none" else (Press(OBJECTS[name](), **known, scale=scale),)
         frame = sensor.frame(objects, args.seed * _SEED_STRIDE + k)
         stem = f"{k:03d}_{name}"
         (args.out / f"{stem}.png").write_bytes(png(frame.image))
@@ -209,6 +225,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     print(f"{args.out}: {counted(len(scenes), 'image')} with ground truth, scenes.csv")
     at = shlex.quote(str(args.out))
     seed = "" if args.sensor_seed is None else f" --sensor-seed {args.sensor_seed}"
+    seed += "" if args.model == MODELS[0] else f" --model {args.model}"
     print(f"next:\n  tacshade-edge simulate --calibration-set {at}/sensor{seed}")
     print(_calibrate(f"{at}/sensor", f" --presses {at}/sensor/PRESSES.csv"))
     print(f"  tacshade-edge evaluate --images {at} --calibration {at}/sensor/calibration.npz")

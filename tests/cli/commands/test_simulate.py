@@ -15,6 +15,7 @@ from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.settings import load
 from tacshade_edge.settings.model import Simulated
+from tacshade_edge.simulator.tacshade import OBJECT_SCALE
 
 pytestmark = pytest.mark.slow
 
@@ -74,6 +75,22 @@ def test_scenes_have_images_and_their_ground_truth(
         assert (np.isnan(shear).all(axis=2) == np.isnan(height)).all()
         assert shear[truth["contact"]].mean(axis=0) == pytest.approx((2, -1), abs=0.4)
         assert (str(truth["object"]), float(truth["twist_deg"])) == ("cube", 8)
+
+
+def test_the_identified_tacshade_is_pressed_by_objects_of_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["simulate", "--model", "tacshade", "--objects", "cube", "--depth", "2"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert f"simulate --calibration-set {tmp_path}/sensor --model tacshade\n" in (
+        capsys.readouterr().out
+    )
+    with np.load(tmp_path / "000_cube.npz") as truth:
+        width_mm = np.ptp(truth["points_mm"][:, 0])
+    assert width_mm == pytest.approx(10 * OBJECT_SCALE, abs=1.0)
+    with pytest.raises(SystemExit):
+        main([*words, "--sensor-seed", "3", "--out", str(tmp_path)])
+    assert "not allowed with argument" in capsys.readouterr().err
 
 
 def test_a_calibration_set_is_complete_repeatable_and_its_commands_run(
