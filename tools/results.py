@@ -153,6 +153,7 @@ PAGES = {
 }
 OLDER = (
     "objects",
+    "paper",
     "drag",
     "sigma",
     "limits",
