@@ -111,8 +111,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--model",
         choices=MODELS,
+        metavar="NAME",
         default=MODELS[0],
-        help="default, or tacshade: one on which the paper's method errs about as in its Table I",
+        help="default, or tacshade, which gives Table I",
     )
     add_cluster(parser)
 
