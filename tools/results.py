@@ -155,7 +155,6 @@ OLDER = (
     "objects",
     "paper",
     "drag",
-    "sigma",
     "limits",
     "tradeoff",
     "daemon",
