@@ -34,8 +34,10 @@ def escaped(text: str, chars_max: int = 1000) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """``1 frame``, ``2 frames``, ``2 presses``."""
-    return f"{count} {noun}{'' if count == 1 else 'es' if noun.endswith('s') else 's'}"
+    """``1 frame``, ``2 frames``, ``2 presses``, ``2 touches``."""
+    if count == 1:
+        return f"1 {noun}"
+    return f"{count} {noun}{'es' if noun.endswith(('s', 'ch')) else 's'}"
 
 
 def did_you_mean(text: object, names: Iterable[object]) -> str:

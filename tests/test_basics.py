@@ -155,3 +155,4 @@ def test_a_turn_gives_its_vector_back(axis: tuple[float, float, float], angle: f
 def test_a_noun_agrees_with_its_number() -> None:
     assert [counted(k, "frame") for k in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
     assert [counted(k, "press") for k in (1, 2)] == ["1 press", "2 presses"]
+    assert [counted(k, "touch") for k in (1, 2)] == ["1 touch", "2 touches"]
