@@ -102,6 +102,11 @@ PAGES = {
         idle=True,
         drawn=("tradeoff.png",),
     ),
+    "image-size": Page(
+        {"": "tools.studies.image_size --final --profile balanced accurate"},
+        profiles=("balanced", "accurate"),
+        code=("tacshade_edge/core/calibration",),
+    ),
     "daemon": Page(
         {"": "tools.benchmarks.daemon --seconds 60 --runs 2"},
         code=SERVED,
