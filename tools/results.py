@@ -122,6 +122,9 @@ PAGES = {
         },
         code=(*JUDGES, "tacshade_edge/fitting"),
     ),
+    "recognise": Page(
+        {"": "tools.studies.recognise --final"}, code=("tacshade_edge/core/recognition",)
+    ),
     "slip": Page({"": "tools.studies.slip"}, code=("tacshade_edge/core/contact",)),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
