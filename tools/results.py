@@ -161,7 +161,6 @@ PAGES = {
 }
 OLDER = (
     "objects",
-    "paper",
     "drag",
     "limits",
     "tradeoff",

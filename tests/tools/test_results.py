@@ -14,11 +14,9 @@ ROOT = results.ROOT
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 WITHOUT_FINGERPRINT = {
     *("objects", "drag", "sigma", "limits", "tradeoff", "daemon", "real-frames"),
-    *("slip", "servo", "fit", "third-family", "touch", "arm", "faults", "paper"),
+    *("slip", "servo", "fit", "third-family", "touch", "arm", "faults"),
 }
-"""The pages that were there before fingerprints, and one whose networks changed while it was made: any other page is
-current.
-"""
+"""The pages that were there before fingerprints: any other page is current."""
 PROGRAM = '"""A program."""\n\n\ndef half(x):\n    """Halve."""\n    return f"{x / 2:.{1}f}" + ""\n'
 
 
