@@ -163,7 +163,6 @@ OLDER = (
     "objects",
     "drag",
     "limits",
-    "tradeoff",
     "daemon",
     "real-frames",
     "slip",
