@@ -26,6 +26,8 @@ class ReasonCode(StrEnum):
     LIGHT_DRIFT = "light_drift"
     CAMERA_SHIFT = "camera_shift"
     UNTRUSTED = "untrusted"
+    TOUCH_UNMEASURED = "touch_unmeasured"
+    TIP_MOVING = "tip_moving"
     NO_USABLE_FRAME = "no_usable_frame"
     # A touch.
     TOUCH_UNLIKE = "touch_unlike"

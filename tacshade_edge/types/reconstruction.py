@@ -139,6 +139,9 @@ class Reconstruction:
         None  # (rows, cols): cells that do not show the sensor's skin, never contact
     )
     touch: Touch | None = None  # none also if nobody requested it
+    touched: bool = (
+        False  # something touches, but its depth is unknown; never together with `contact`
+    )
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
