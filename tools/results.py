@@ -119,6 +119,7 @@ PAGES = {
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
+            "Taps of a tilted plane, 127 pins": f"{REAL} pins out/real/Tac-VGNN",
         },
         code=(*JUDGES, "tacshade_edge/fitting"),
     ),

@@ -8,22 +8,23 @@
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
     git clone https://github.com/cavallimarko/TacTipFlexSim out/real/TacTipFlexSim
     git clone https://github.com/robot-dexterity/tactile-manibot out/real/tactile-manibot
+    git clone https://github.com/Neo-manchester/Tac-VGNN out/real/Tac-VGNN
     .venv/bin/python -m tools.studies.real_frames raw out/real/aerial_tactile_servoing
 
-The sets have no licence, or the GPL: they stay outside the tree. `raw` are whole pictures of a camera with an LED ring,
-`binary` near-binary ones with few pins, `plates` thresholded ones of plates that a robot tilted and sheared (of that
-set `cr_tactip` alone), `flat` flat presses of stated depth, `tilted` raw pictures of tilted and sheared plates whose
-rim the frame cuts. A network is overruled where it finds `LEAST_MM` or more and the answer is another.
+The sets have no licence, or the GPL, but for the last (Apache-2.0): they stay outside the tree. `raw` are whole
+pictures of a camera with an LED ring, `binary` near-binary ones with few pins, `plates` thresholded ones of plates that
+a robot tilted and sheared (of that set `cr_tactip` alone), `flat` flat presses of stated depth, `tilted` raw pictures
+of tilted and sheared plates whose rim the frame cuts, `pins` thresholded ones of 127 pins that tap a tilted plane. A
+network is overruled where it finds `LEAST_MM` or more and the answer is another.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -37,137 +38,14 @@ from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
 from tacshade_edge.studies.evaluate.work import reconstructor
 from tacshade_edge.studies.tables import markdown
-from tacshade_edge.types import Calibration, Disc, Frame
+from tacshade_edge.types import Calibration, Frame
 from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen
+from tools.studies.real_sets import SENSOR, SENSORS, SETS, RealFrame, thinned
 
 PROFILES = ("fast", "balanced", "accurate")
-SENSOR = Sensor(
-    skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark"
-)
-"""A TacTip as printed; its camera's distance is a guess that does not affect ranks."""
 REFERENCES_EACH = 2
 """Number of free frames at a folder's start that are tried as references."""
-OTHER_LIGHT = "REF_lightson_pointingup"
-PLATES = "data/cr_tactip/surface_3d/val_data"
-TILTED = "tactile_data/ur5_tacpad_1/surface_zRxy_shear/train"
-TILTED_CIRCLE = Disc(112, 150, 150)
-NEARLY_FREE_MM = 0.117
-"""Stated depth below which the plates of `tilted` hardly touch: 37 frames."""
 PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, 4002 labels)"
-
-
-@dataclass(frozen=True, slots=True)
-class RealFrame:
-    """A picture and what is known of it: whether nothing touched (None if unknown), and some columns of LABELS.csv."""
-
-    path: Path
-    free: bool | None
-    known: Mapping[str, float]
-
-
-def raw_frames(clone: Path) -> list[RealFrame]:
-    """Every whole picture, without the folder of another light; the labels are that project's own network's."""
-    frames = []
-    for table in sorted((clone / "data" / "tactip_images").glob("*/image_list.csv")):
-        if table.parent.name == OTHER_LIGHT:
-            continue
-        for row in rows_of(table):
-            free = row["contact"] == "False"
-            known = {} if free else labels_of(row)
-            # Images are numbered from 1 in the table and from 0 in their names.
-            frames.append(
-                RealFrame(
-                    table.parent / f"raw_image{int(row['Image number']) - 1}.png", free, known
-                )
-            )
-    return found(frames, clone, "data/tactip_images/*/image_list.csv")
-
-
-def plate_frames(clone: Path) -> list[RealFrame]:
-    """Every thresholded picture of `cr_tactip`'s validation set: none is free."""
-    folder = clone / PLATES
-    table = folder / "targets_images.csv"
-    rows = rows_of(table) if table.exists() else []
-    return found(
-        [
-            RealFrame(folder / "processed_images" / row["sensor_image"], False, labels_of(row))
-            for row in rows
-        ],
-        clone,
-        f"{PLATES}/targets_images.csv",
-    )
-
-
-def binary_frames(clone: Path) -> list[RealFrame]:
-    """Every near-binary picture; which are free is unknown."""
-    paths = sorted((clone / "dataset-image").glob("*/*/*.png"))
-    return found([RealFrame(path, None, {}) for path in paths], clone, "dataset-image/*/*/*.png")
-
-
-def flat_frames(clone: Path) -> list[RealFrame]:
-    """Every picture of flat presses; the last number of a name is the stated depth, 0 without one."""
-    folder = "CNNDepthPrediction/DatasetReal/FlatR100V0"
-    frames = []
-    for path in sorted((clone / folder).glob("*.png")):
-        depth_mm = float(path.stem.rpartition("_")[2])
-        frames.append(RealFrame(path, not depth_mm, {"depth_mm": depth_mm} if depth_mm else {}))
-    return found(frames, clone, f"{folder}/*.png")
-
-
-def tilted_frames(clone: Path) -> list[RealFrame]:
-    """Every raw picture of one sensor on tilted and sheared plates."""
-    table = clone / TILTED / "targets.csv"
-    rows = rows_of(table) if table.exists() else []
-    frames = []
-    for row in rows:
-        known = labels_of(row)
-        free = known["depth_mm"] < NEARLY_FREE_MM
-        frames.append(RealFrame(table.parent / "sensor_images" / row["sensor_image"], free, known))
-    frames.sort(key=lambda frame: frame.known["depth_mm"])
-    return found(frames, clone, f"{TILTED}/targets.csv")
-
-
-SETS: dict[str, Callable[[Path], list[RealFrame]]] = {
-    "raw": raw_frames,
-    "binary": binary_frames,
-    "plates": plate_frames,
-    "flat": flat_frames,
-    "tilted": tilted_frames,
-}
-SENSORS = {"tilted": replace(SENSOR, visible_circle=TILTED_CIRCLE)}
-
-
-def found(frames: list[RealFrame], clone: Path, expected: str) -> list[RealFrame]:
-    """Return `frames`. Raises ConfigError if there are none."""
-    if not frames:
-        raise ConfigError(f"{clone}: found no frame, expected a clone with {expected}")
-    return frames
-
-
-def rows_of(table: Path) -> list[dict[str, str]]:
-    """A table's rows, without the spaces around its words."""
-    with table.open(encoding="utf-8", newline="") as stream:
-        lines = [[cell.strip() for cell in row] for row in csv.reader(stream) if row]
-    return [dict(zip(lines[0], line, strict=False)) for line in lines[1:]]
-
-
-def labels_of(row: Mapping[str, str]) -> dict[str, float]:
-    """Both projects' columns as those of LABELS.csv."""
-    names = {
-        "pose_z": "depth_mm",
-        "pose_Rx": "tilt_x_deg",
-        "pose_Ry": "tilt_y_deg",
-        "shear_x": "shear_x_mm",
-        "shear_y": "shear_y_mm",
-    }
-    return {ours: float(row[theirs]) for theirs, ours in names.items()}
-
-
-def thinned(frames: list[RealFrame], count: int) -> list[RealFrame]:
-    """At most `count` frames, evenly spread."""
-    if len(frames) <= count:
-        return frames
-    return [frames[k * len(frames) // count] for k in range(count)]
 
 
 def reference_candidates(frames: Sequence[RealFrame]) -> list[Path]:
@@ -235,6 +113,12 @@ def summary(
     )
 
 
+def tilt_of(row: FoundRow) -> float:
+    """Angle between the found normal and the sensor's axis, degrees."""
+    x, y = (math.tan(math.radians(angle)) for angle in (row.tilt_y_deg, row.tilt_x_deg))
+    return math.degrees(math.atan(math.hypot(x, y)))
+
+
 def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tuple[str, ...]]:
     """One profile's ranks and errors; of shear also before any map."""
     profile, known = rows[0].profile, [frame.known for frame in frames]
@@ -251,6 +135,13 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
         off_mm = np.subtract(*np.transpose(depths))
         error_mm = np.abs(off_mm - np.median(off_mm)).mean()
         table.append((profile, "depth, one offset", str(len(depths)), "-", f"{error_mm:.2f}"))
+    off_deg = [
+        abs(tilt_of(row) - labels["tilt_deg"])
+        for row, labels in zip(rows, known, strict=True)
+        if not row.refused and row.contact and "tilt_deg" in labels
+    ]
+    if off_deg:
+        table.append((profile, "tilt, no map", str(len(off_deg)), "-", f"{np.mean(off_deg):.2f}"))
     pairs = [
         ((row.shear_x_mm, row.shear_y_mm), (labels["shear_x_mm"], labels["shear_y_mm"]))
         for row, labels in zip(rows, known, strict=True)

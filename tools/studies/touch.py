@@ -36,7 +36,8 @@ from tacshade_edge.inference.network import load_network
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
-from tools.studies.real_frames import SENSOR, SENSORS, forced, rows_of
+from tools.studies.real_frames import forced
+from tools.studies.real_sets import SENSOR, SENSORS, rows_of
 
 _DRAWN = {"depth_mm": "depth, mm", "force_z_n": "Fz, N", "force_x_n": "Fx, N"}
 _POSE = {"pose_z": "depth_mm", "pose_Rx": "tilt_x_deg", "pose_Ry": "tilt_y_deg"}
