@@ -154,7 +154,8 @@ class HandAggregator:
         before = self._fingers[name]
         self._period_ns[name] = now_ns - (self._heard_ns[name] or now_ns)
         self._fingers[name], self._heard_ns[name] = finger, now_ns
-        if finger.state == "contact" or finger.state != before.state:
+        changed = (finger.state, finger.touched) != (before.state, before.touched)
+        if finger.state == "contact" or changed:
             self._news_ns = self._news_ns if self._news else now_ns
             self._news.add(name)
 

@@ -71,10 +71,11 @@ def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     ("reported", "period_ns"),
     [
         (TOUCHED, GATHER_NS),
+        (replace(FREE, touched=True), GATHER_NS),
         (away(Reason(ReasonCode.LOST, "gone")), GATHER_NS),
         (FREE, QUIET_PERIOD_NS),
     ],
-    ids=["contact", "change", "nothing new"],
+    ids=["contact", "touched", "change", "nothing new"],
 )
 def test_contact_and_change_are_reported_at_most_250_times_a_second_all_else_10_times(
     two: HandAggregator, reported: Finger, period_ns: int

@@ -164,6 +164,7 @@ OLDER = (
     "objects",
     "drag",
     "limits",
+    "tradeoff",
     "daemon",
     "real-frames",
     "slip",

@@ -23,7 +23,10 @@ TACTILE: Final = (
     "shear_y_mm",
     "slip",
 )
-"""The numbers of ``observation.tactile``, named as in the topic ``contact``; the volume is a measure of load."""
+"""The numbers of ``observation.tactile``, named as in the topic ``contact``; the volume is a measure of load.
+
+While something touches whose depth is unknown, ``contact`` is 1 too, and the picture is that of an untouched skin.
+"""
 REACH: Final = 1.02
 """Half the picture's side in radii of the visible circle, as in the daemon's own square of 112 x 112 cells."""
 
@@ -58,9 +61,9 @@ class Pictures:
                 picture = self._picture(contact)
                 self.passed_over += picture is None
                 if picture is not None:
-                    self.tactile = np.array(
-                        [getattr(contact, name) or 0.0 for name in TACTILE], np.float32
-                    )
+                    numbers = {name: getattr(contact, name) or 0.0 for name in TACTILE}
+                    numbers["contact"] = float(contact.contact or contact.touched)
+                    self.tactile = np.array(list(numbers.values()), np.float32)
                 return picture
         return None
 

@@ -220,6 +220,13 @@ _OF_HEALTH: Final[
         lambda h: _counts(h.frames, ("captured", "pending")),
     ),
     (
+        _COUNTER,
+        "touched_frames",
+        "Frames in which something touched, but its depth was unknown",
+        (),
+        lambda h: {(): h.touched_frames},
+    ),
+    (
         _GAUGE,
         "frames_pending",
         "Frames in progress",

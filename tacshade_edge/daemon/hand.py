@@ -95,7 +95,7 @@ class FingerReporter(FrameObserver):
     def __init__(self, line: FingerLine, hand_T_sensor: Rigid) -> None:
         self._line = line
         self._hand_T_sensor = hand_T_sensor
-        self._reported: tuple[bool, bool] | None = None
+        self._reported: tuple[bool, bool, bool] | None = None
         self._reported_ns = 0
 
     def need(self) -> Need:
@@ -106,7 +106,7 @@ class FingerReporter(FrameObserver):
         if (result := seen.reconstruction) is None or not self._line.wanted:
             self._reported = None
             return
-        now = (result.contact, result.valid)
+        now = (result.contact, result.touched, result.valid)
         if (
             result.contact
             or now != self._reported

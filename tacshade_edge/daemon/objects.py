@@ -55,7 +55,7 @@ class ObjectEvents(FrameObserver):
     def see(self, seen: FrameResult) -> None:
         self._taught = seen.calibration is not None and bool(seen.calibration.known)
         result = seen.reconstruction
-        if result is None or not (self._taught or self._objects):
+        if result is None or result.touched or not (self._taught or self._objects):
             return
         self._objects = {
             each.label if each.id is None else each.id: self._followed(result, each)

@@ -31,6 +31,11 @@ _ENTITIES: Final = {
     "profile": "select",
     "rezero": "button",
 }
+# Home Assistant takes None for unknown. A touch without a depth is on: whoever waits for a touch must not miss one.
+_DEPTH_TEMPLATE: Final = (
+    "{{ None if value_json.depth_max_mm is none else value_json.depth_max_mm | round(1) }}"
+)
+_CONTACT_TEMPLATE: Final = "{{ 'ON' if value_json.contact or value_json.touched else 'OFF' }}"
 
 
 def discovery_topics(sensor_id: str) -> tuple[str, ...]:
@@ -61,7 +66,7 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
         "depth": {
             "name": "Depth",
             "state_topic": f"{base}/contact",
-            "value_template": "{{ value_json.depth_max_mm | round(1) }}",
+            "value_template": _DEPTH_TEMPLATE,
             "unit_of_measurement": "mm",
             "device_class": "distance",
             "state_class": "measurement",
@@ -70,7 +75,7 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
         "contact": {
             "name": "Contact",
             "state_topic": f"{base}/contact",
-            "value_template": "{{ 'ON' if value_json.contact else 'OFF' }}",
+            "value_template": _CONTACT_TEMPLATE,
         },
         "touches": {
             "name": "Touches",
@@ -112,8 +117,8 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is p
 @dataclass(eq=False)
 class Publisher(FrameObserver):
     """Publishes what subscribers want of a frame, and settles the frame, if its height is offered by the outcome of
-    that. Messages without a listener are left out, except at the beginning and end of a contact, so that no subscriber
-    is left with outdated values. With `always_shear` it requests shear even without a listener.
+    that. Messages without a listener are left out, except when a contact, or a touch of unknown depth, begins or ends,
+    so that no subscriber is left with outdated values. With `always_shear` it requests shear even without a listener.
     """
 
     offer: Callable[[str, bytes, int], None]
@@ -123,8 +128,8 @@ class Publisher(FrameObserver):
     always_shear: bool = False
     fps: float = 0.0
     _sliding: frozenset[int | None] = frozenset()
-    _contact: bool = False
-    _touched: bool = False
+    _state: tuple[bool, bool] = (False, False)  # contact, touched
+    _has_touch: bool = False
     _contact_sent_ns: int | None = None
 
     def need(self) -> Need:
@@ -144,8 +149,8 @@ class Publisher(FrameObserver):
         if (result := seen.reconstruction) is None:
             self.settle(seen.frame.seq, "unasked")
             return
-        changed = result.contact != self._contact
-        self._contact = result.contact
+        changed = (result.contact, result.touched) != self._state
+        self._state = result.contact, result.touched
         # All are encoded first, and handed over last: the link's thread then does not take turns with this one.
         payloads: list[tuple[str, bytes]] = []
         crc32 = 0 if seen.calibration is None else seen.calibration.crc32
@@ -163,9 +168,9 @@ class Publisher(FrameObserver):
         ):
             if grid is not None and (result.contact or changed) and self.has_listener(stream):
                 payloads.append((stream, encode(result, **taken)))
-        touch_ended = result.touch is None and not result.contact and (changed or self._touched)
-        self._touched = result.touch is not None
-        if (self._touched or touch_ended) and self.has_listener("touch"):
+        touch_ended = result.touch is None and not result.contact and (changed or self._has_touch)
+        self._has_touch = result.touch is not None
+        if (self._has_touch or touch_ended) and self.has_listener("touch"):
             payloads.append(("touch", messages.encode_touch(result)))
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
@@ -189,23 +194,27 @@ UPDATE_PERIOD_NS = 1_000_000_000
 
 class ContactEvents(FrameObserver):
     """Publishes ``event/contact``: each contact's begin, its greatest values so far once a second, and its end. It
-    requests nothing: values are those of frames that others need, at least one a second.
+    requests nothing: values are those of frames that others need, at least one a second. A touch of unknown depth
+    continues a contact, and begins one once it has lasted `BRIDGED_NS`.
     """
 
     def __init__(self, publish_event: Callable[[str, bytes], None]) -> None:
         self._publish_event = publish_event
         self._count = self._touched_ns = self._sent_ns = 0
         self._start_ns: int | None = None
+        self._unmeasured_ns: int | None = None  # since when the depth of a touch is unknown
         self._greatest: dict[str, Any] = {}
 
     def see(self, seen: FrameResult) -> None:
         frame, result = seen.frame, seen.reconstruction
-        if result is None or result.contact:
+        lasts = self._unmeasured_lasts(frame.t_ns, result is not None and result.touched)
+        if result is None or result.contact or lasts:
             self._touched_ns = frame.t_ns
             new = self._start_ns is None
             if new:
-                self._start_ns, self._count, self._greatest = frame.t_ns, self._count + 1, {}
-            if result is not None:
+                self._start_ns = self._unmeasured_ns if lasts else frame.t_ns
+                self._count, self._greatest = self._count + 1, {}
+            if result is not None and result.contact:
                 for name, value in messages.event_values(result).items():
                     self._greatest[name] = max(self._greatest.get(name, value), value)
             if new or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
@@ -213,6 +222,15 @@ class ContactEvents(FrameObserver):
         elif self._start_ns is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
             self._send("end", frame, end_ns=self._touched_ns)
             self._start_ns = None
+
+    def _unmeasured_lasts(self, t_ns: int, touched: bool) -> bool:
+        """Whether a touch of unknown depth counts as contact in this frame."""
+        if not touched:
+            self._unmeasured_ns = None
+            return False
+        if self._unmeasured_ns is None:
+            self._unmeasured_ns = t_ns
+        return self._start_ns is not None or t_ns - self._unmeasured_ns >= BRIDGED_NS
 
     def _send(
         self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None
@@ -249,11 +267,14 @@ class Health(FrameObserver):
         self._started_ns = self._last_ns = time.monotonic_ns()
         self._last = ledger.counts()
         self._unusable_periods = 0
+        self._touched_frames = 0
         self._latest: Reconstruction | None = None
         self.unusable: Reason | None = None
 
     def see(self, seen: FrameResult) -> None:
         self._latest = seen.reconstruction or self._latest
+        if seen.reconstruction is not None and seen.reconstruction.touched:
+            self._touched_frames += 1
 
     def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
         """The message without the observers' reports; ``frames`` are all counted at one instant."""
@@ -269,6 +290,7 @@ class Health(FrameObserver):
             "wall_ns": time.time_ns(),
             "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
             "frames": counts.as_dict(),
+            "touched_frames": self._touched_frames,
             "source_dropped": source_dropped,
             "capture_fps": round((counts.captured - before.captured) / seconds, 2),
             "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),

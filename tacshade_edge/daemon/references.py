@@ -33,6 +33,10 @@ PERIOD_S = 60.0  # what the reference follows changes over minutes and years
 GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
 
 
+def _touches(result: Reconstruction) -> bool:
+    return result.contact or result.touched
+
+
 class UntouchedFrames:
     """Ten frames of a sensor at rest once per `PERIOD_S` of the frames' time; a touched, invalid or doubtful frame ends
     them. The reconstruct thread passes in every frame, the main thread takes the result.
@@ -56,7 +60,7 @@ class UntouchedFrames:
         now_ns, last_ns = frame.t_ns, self._last_ns
         self._last_ns = now_ns
         known = last_ns is not None and 0 <= now_ns - last_ns <= GAP_S * 1e9
-        self.at_rest = result is not None and result.valid and not result.contact
+        self.at_rest = result is not None and result.valid and not _touches(result)
         if not known or not self.at_rest:
             self._touched_ns = now_ns
             self._discard()
@@ -214,8 +218,9 @@ class References(FrameObserver):
         if not result.valid:
             text = f"{what} an invalid frame ({result.reason}), expected a valid frame of an untouched sensor"
             self._collected = Reason(ReasonCode.FRAME_INVALID, text)
-        elif result.contact:
-            text = f"{what} a contact {result.depth_max_mm:.2f} mm deep, expected no contact"
+        elif _touches(result):
+            depth = "of unknown depth" if result.touched else f"{result.depth_max_mm:.2f} mm deep"
+            text = f"{what} a contact {depth}, expected no contact"
             self._collected = Reason(ReasonCode.FRAME_IN_CONTACT, text)
         else:
             images.append(seen.frame.image)

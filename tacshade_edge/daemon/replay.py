@@ -33,6 +33,7 @@ class Progress:
 
     frames: int = 0
     contacts: int = 0
+    touched: int = 0  # with an unknown depth
     invalid: int = 0
     undecodable: int = 0
     first_ns: int = 0
@@ -106,6 +107,7 @@ def replay(
         progress.timings.add(timer.ms)
         progress.frames += 1
         progress.contacts += result.contact
+        progress.touched += result.touched
         progress.invalid += not result.valid
         progress.last_ns = frame.t_ns
         progress.seconds = (time.monotonic_ns() - begin_ns) / 1e9

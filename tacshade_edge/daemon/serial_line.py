@@ -176,7 +176,7 @@ class TouchEvents:
     def _due(self, asked: TouchAsked | None, result: Reconstruction) -> TouchSeen | None:
         if asked is None:
             return None
-        if (touch := result.touch) is None:
+        if result.touch is None and not result.touched:
             if result.contact:
                 return None  # the frame was begun before the request
             ended, self._touches = self._touches, False
@@ -191,8 +191,9 @@ class TouchEvents:
             return None
         on_time = result.t_ns - self._due_ns < period_ns
         self._due_ns = (self._due_ns if on_time else result.t_ns) + period_ns
-        numbers = tuple((n, touch.values.get(n)) for n in asked.names)
-        return TouchSeen(result.seq, result.t_ns, result.contact, numbers)
+        values = {} if result.touch is None else result.touch.values
+        numbers = tuple((n, values.get(n)) for n in asked.names)
+        return TouchSeen(result.seq, result.t_ns, result.contact, numbers, result.touched)
 
 
 TOLD_MAX = 16
@@ -297,10 +298,11 @@ def _captured(frame: Frame, result: Reconstruction) -> FrameCaptured | Reason:
         frame=result.seq,
         t_ns=result.t_ns,
         contact=result.contact,
-        depth_mm=result.depth_max_mm,
-        area_mm2=sum(o.area_mm2 for o in result.objects),
+        depth_mm=None if result.touched else result.depth_max_mm,
+        area_mm2=None if result.touched else sum(o.area_mm2 for o in result.objects),
         objects=len(result.objects),
         pose_error_us=None if frame.pose is None else frame.pose_error_us,
+        touched=result.touched,
     )
 
 

@@ -171,9 +171,9 @@ class Sessions(FrameObserver):
         self._calibration = calibration
         if not self._state.name:
             return
-        at_rest = self._rest.update(
+        at_rest = not result.touched and self._rest.update(
             result.t_ns, result.valid and result.contact, result.depth_max_mm
-        )
+        )  # a frame of unknown depth is no press, and ends none
         replies = self._adds.take(frame.t_ns)
         if not replies and at_rest:
             replies = [self._note_missed]
@@ -182,6 +182,9 @@ class Sessions(FrameObserver):
         refusal: Reason | None = None
         if not result.valid:
             refusal = Reason(ReasonCode.FRAME_INVALID, f"frame {result.seq}: {result.reason}")
+        elif result.touched:
+            text = f"frame {result.seq}: something touches, but its depth is unknown"
+            refusal = Reason(ReasonCode.NO_CONTACT, text)
         elif not result.contact:
             refusal = _no_contact(result.seq)
         elif self._jobs.qsize() >= WAITING_MAX:

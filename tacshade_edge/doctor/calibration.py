@@ -77,11 +77,17 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
     found_drift = camera.drift(old, pattern.mean_image([to_grey(image) for image in images]))
     place = _check_place(calibration, found_drift)
     if not live:
-        found = f"a contact {result.depth_max_mm:.1f} mm deep" if result.contact else "no contact"
+        found = "a touch of unknown depth" if result.touched else "no contact"
+        if result.contact:
+            found = f"a contact {result.depth_max_mm:.1f} mm deep"
         return (*place, ok("sensor", f"the image matches the calibration and shows {found}"))
     if result.contact:
         found = f"the skin seems to be pressed {result.depth_max_mm:.1f} mm deep"
         found += "; if nothing is touching the skin, the skin has changed"
+        return (*place, warning("sensor", found, _REZERO))
+    if result.touched:
+        found = "something seems to touch the skin, but its depth is unknown"
+        found += "; if nothing is touching it, the skin has changed"
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))

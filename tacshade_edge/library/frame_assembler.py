@@ -101,7 +101,7 @@ class FrameAssembler:
 
     def _add(self, contact: Contact) -> None:
         """Complete a frame: ``contact`` is the last message that a daemon sends for it."""
-        if not contact.contact:
+        if not contact.contact and not contact.touched:
             self._named.clear()
         seq = contact.seq & 0xFFFFFFFF
         streams = {
@@ -168,6 +168,7 @@ class FrameAssembler:
             shear_mm=shear_mm,
             sigma_mm=None if sigma is None else sigma.sigma_mm,
             touch=whole.touch,
+            touched=bool(contact.touched),
         )
         if made.valid:
             made = follow(self._tracker, made)

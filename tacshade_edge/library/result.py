@@ -78,6 +78,9 @@ class Result:
         ``base_T_flange`` at `t_ns`; None if no robot reports it.
     geometry : Geometry
         Skin, camera and visible circle.
+    touched : bool
+        Whether something touches, but its depth is unknown: `in_contact` is then false, every height 0, `depth_max_mm`
+        NaN, and `degraded` states why.
     """
 
     seq: int
@@ -109,6 +112,7 @@ class Result:
     touch_reason_code: str
     pose: Pose | None
     geometry: Geometry
+    touched: bool = False
 
     def __post_init__(self) -> None:
         if self.untrusted is not None:  # the other arrays are read-only already
@@ -116,12 +120,14 @@ class Result:
 
     @property
     def depth_max_mm(self) -> float:
-        """Greatest h of the touched objects in mm; 0 without contact, NaN if the frame is invalid."""
-        return max((o.depth_max_mm for o in self.objects), default=0.0) if self.valid else math.nan
+        """Greatest h of the touched objects in mm; 0 without contact, NaN if the frame is invalid or `touched`."""
+        if self.touched or not self.valid:
+            return math.nan
+        return max((o.depth_max_mm for o in self.objects), default=0.0)
 
     def __repr__(self) -> str:
         """The result in a line, for people."""
-        what = self.reason or "no contact"
+        what = self.reason or ("touched, depth unknown" if self.touched else "no contact")
         if self.objects:
             what = f"{counted(len(self.objects), 'object')}, deepest {self.depth_max_mm:.2f} mm"
         return f"<Result {self.seq} of {self.profile}: {what}>"
@@ -177,6 +183,7 @@ def result_of(
         touch_reason_code=code_of(touch_reason),
         pose=pose,
         geometry=geometry,
+        touched=made.touched,
     )
 
 

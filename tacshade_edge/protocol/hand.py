@@ -37,6 +37,7 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         degraded_code=code_of(result.degraded),
         axis=rounded_triple(hand_T_sensor.rotation[:, 2]),
         objects=objects,
+        touched=result.touched,
     )
 
 

@@ -47,14 +47,15 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     shear_x_mm, shear_y_mm = max(shears, key=lambda x_y: math.hypot(*x_y), default=(None, None))
     slips = [(o.slip, o.slip_mm_s or 0.0) for o in result.objects if o.slip is not None]
     slip, slip_mm_s = max(slips, default=(None, None))
+    known = not result.touched
     return encode_json(
         Contact(
             t_ns=result.t_ns,
             seq=result.seq,
             contact=int(result.contact),
-            depth_max_mm=result.depth_max_mm,
-            area_mm2=sum((o.area_mm2 for o in result.objects), 0.0),
-            volume_mm3=result.volume_mm3,
+            depth_max_mm=result.depth_max_mm if known else None,
+            area_mm2=sum((o.area_mm2 for o in result.objects), 0.0) if known else None,
+            volume_mm3=result.volume_mm3 if known else None,
             objects=len(result.objects),
             x_mm=x_mm,
             y_mm=y_mm,
@@ -71,13 +72,15 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             reason_code=code_of(result.reason),
             degraded_code=code_of(result.degraded),
             wall_ns=result.wall_ns,
+            touched=int(result.touched),
         )
     )
 
 
 def encode_touch(result: Reconstruction) -> bytes:
     """The ``touch`` payload."""
-    reason = result.reason if result.touch is None else result.touch.reason
+    missing = result.degraded if result.touched else result.reason
+    reason = missing if result.touch is None else result.touch.reason
     numbers: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
     return encode_json(
         TouchNumbers(t_ns=result.t_ns, seq=result.seq, wall_ns=result.wall_ns, **numbers)

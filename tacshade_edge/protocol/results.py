@@ -110,24 +110,31 @@ class ClockRead(_Result, frozen=True):
 
 
 class FrameCaptured(_Result, frozen=True):
-    """Result of ``CAPTURE``: one reconstruction. `pose_error_us` is None if the frame has no pose."""
+    """Result of ``CAPTURE``: one reconstruction. `pose_error_us` is None if the frame has no pose; depth and area are
+    None if the frame is `touched`: something touches, but its depth is unknown.
+    """
 
     frame: int
     t_ns: int
     contact: bool
-    depth_mm: float
-    area_mm2: float
+    depth_mm: float | None
+    area_mm2: float | None
     objects: int
     pose_error_us: int | None
+    touched: bool = False
 
     def figures(self) -> dict[str, Any]:
         found = {
             **asdict(self),
-            "area_mm2": round(float(self.area_mm2), 1),
+            "area_mm2": None if self.area_mm2 is None else round(float(self.area_mm2), 1),
             "pose": self.pose_error_us is not None,
         }
-        error_us = found.pop("pose_error_us")
-        return found if error_us is None else {**found, "pose_error_us": error_us}
+        error_us, touched = found.pop("pose_error_us"), found.pop("touched")
+        return (
+            found
+            | ({} if error_us is None else {"pose_error_us": error_us})
+            | ({"touched": True} if touched else {})
+        )
 
 
 class LineStatus(_Result, frozen=True):

@@ -104,9 +104,10 @@ class Contact:
     """``contact``: flat numbers, None if nothing touches or it is not computed, and codes, empty if all is well.
 
     `contact` is 0 or 1, `objects` the number of objects, `area_mm2` their total area; `x_mm` and `y_mm` are the
-    centroid of the largest object. Shear, twist and slip (0 stick, 1 partial, 2 full) each come from the object with
-    the largest value. `fps` is the delivery rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's
-    monotonic clock and in Unix time.
+    centroid of the largest object. `touched` is 1 if something touches but its depth is unknown: `contact` is then 0,
+    and depth, area and volume are None. Shear, twist and slip (0 stick, 1 partial, 2 full) each come from the object
+    with the largest value. `fps` is the delivery rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the
+    daemon's monotonic clock and in Unix time.
     """
 
     t_ns: Count
@@ -127,6 +128,7 @@ class Contact:
     reason_code: _Code = ""
     degraded_code: _Code = ""
     wall_ns: Count = 0
+    touched: Annotated[int, Meta(ge=0, le=1)] = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,6 +221,7 @@ class Health:
     invalid_reason_code: _Code = ""
     degraded_reason_code: _Code = ""
     wall_ns: Count = 0
+    touched_frames: Count = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -324,7 +327,8 @@ class HandObject:
 class Finger:
     """A finger's latest report.
 
-    `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. The codes are those of
+    `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. `touched`: something touches, but its depth
+    is unknown; `state` is then ``free``, and there are no objects. The codes are those of
     `reasons.ReasonCode`, empty when all is well. `t_ns` is the capture time of its frame, on the clock that all fingers
     share, `seq` its number, `age_ms` its age when the hand published it, `axis` the finger's z axis: shear is
     perpendicular to it, twist is about it. These are None if the report is not from a frame. `objects` are the largest
@@ -339,6 +343,7 @@ class Finger:
     degraded_code: str = ""
     axis: Triple | None = None
     objects: Annotated[tuple[HandObject, ...], Meta(max_length=OBJECTS_MAX)] = ()
+    touched: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -69,7 +69,8 @@ def encode_map_cloud(
     points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int
 ) -> bytes:
     """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame, with the revision as its sequence."""
-    flags = {"contact": True, "invalid": False, "saturated": False, "degraded": False}
+    flags = dict.fromkeys(("invalid", "saturated", "degraded", "touched"), False)
+    flags["contact"] = True
     times = {
         "seq": revision,
         "calibration_crc32": calibration_crc32,
@@ -121,7 +122,7 @@ def _pack(
         "contact": result.contact,
         "invalid": not result.valid,
         "saturated": result.saturated,
+        "degraded": result.degraded is not None,
+        "touched": result.touched,
     }
-    return pack(
-        kind, shape, grid, data, **{**fields, "degraded": result.degraded is not None, **taken}
-    )
+    return pack(kind, shape, grid, data, **{**fields, **taken})

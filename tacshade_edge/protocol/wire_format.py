@@ -34,8 +34,8 @@ _U32: Final = 0xFFFFFFFF
 
 _MAGIC: Final = b"TCSH"
 _RAW: Final = 0
-_FLAGS: Final = ("contact", "invalid", "saturated", "degraded")  # from the lowest bit
-_POSE: Final = 1 << len(_FLAGS)
+_FLAGS: Final = {"contact": 1, "invalid": 2, "saturated": 4, "degraded": 8, "touched": 32}
+_POSE: Final = 16
 
 # magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale | pose | payload bytes
 HEAD: Final = struct.Struct("<4s4B IIQQ 2H 4f I7f I")
@@ -49,7 +49,8 @@ class _Message:
 
     `seq` is the frame number modulo 2^32; `t_ns` and `wall_ns` are the capture time, on the sender's CLOCK_MONOTONIC
     and in Unix time. The reasons of the flags are in ``health`` and ``status/camera``. `pose` is ``base_T_flange`` at
-    `t_ns`, and `pose_error_us` the uncertainty of its time, 0 without a pose.
+    `t_ns`, and `pose_error_us` the uncertainty of its time, 0 without a pose. `touched`: something touches, but its
+    depth is unknown; `contact` is then False.
     """
 
     seq: int
@@ -60,6 +61,7 @@ class _Message:
     invalid: bool
     saturated: bool
     degraded: bool
+    touched: bool
     pose: Pose | None
     pose_error_us: int
 
@@ -128,8 +130,8 @@ def pack(
     """
     pose: Pose | None = fields["pose"]
     flags = _POSE * (pose is not None)
-    for bit, name in enumerate(_FLAGS):
-        flags |= fields[name] << bit
+    for name, bit in _FLAGS.items():
+        flags |= bit * fields[name]
     head = HEAD.pack(
         *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
         *(
@@ -169,7 +171,7 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
         pose = Pose(t_ns, *fields[16:23])
     common: dict[str, Any] = {
         **{"seq": seq, "calibration_crc32": calibration, "t_ns": t_ns, "wall_ns": wall_ns},
-        **{name: bool(flags >> bit & 1) for bit, name in enumerate(_FLAGS)},
+        **{name: bool(flags & bit) for name, bit in _FLAGS.items()},
         **{"pose": pose, "pose_error_us": error_us if pose else 0},
     }
     if kind == CLOUD:

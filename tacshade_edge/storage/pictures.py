@@ -87,6 +87,11 @@ def write_picture(path: Path, picture: U8) -> None:
     path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
 
 
+def _without_depth(result: Reconstruction) -> str:
+    """What a valid frame without a contact shows."""
+    return "touched, depth unknown" if result.touched else "no contact"
+
+
 def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     """One reconstruction, uint8 BGR: the image with axes in px, and the height in mm with contact, a colour bar and
     axes in mm in the plane of the visible circle, from its centre.
@@ -99,7 +104,7 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
         f"{result.profile}: {counted(len(result.objects), 'object')}, deepest {result.depth_max_mm:.2f} mm"
         f"{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
         if result.contact
-        else f"{result.profile}: no contact {text_of(result.degraded)}"
+        else f"{result.profile}: {_without_depth(result)} {text_of(result.degraded)}"
     )
     disc, mm = geometry.disc, geometry.mm_per_px
     pictures = np.hstack(
@@ -133,7 +138,7 @@ def tile(name: str, image: U8, result: Reconstruction) -> Tile:
     found = (
         f"{result.depth_max_mm:.2f} mm"
         if result.contact
-        else code_of(result.reason) or "no contact"
+        else code_of(result.reason) or _without_depth(result)
     )
     text = f"{name[-24:]}: {found}"
     return Tile(

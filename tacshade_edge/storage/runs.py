@@ -158,10 +158,11 @@ def summary(result: Reconstruction) -> dict[str, Any]:
         "valid": result.valid,
         **reason_fields(result.reason),
         "contact": result.contact,
+        "touched": result.touched,
         "saturated": result.saturated,
         **reason_fields(result.degraded, "degraded"),
-        "depth_max_mm": _rounded(result.depth_max_mm),
-        "volume_mm3": _rounded(result.volume_mm3),
+        "depth_max_mm": None if result.touched else _rounded(result.depth_max_mm),
+        "volume_mm3": None if result.touched else _rounded(result.volume_mm3),
         "repaired_px": result.repaired_px,
         "shear_mm": _rounded(result.shear_of_contact_mm),
         **touch_fields(result.touch),
@@ -225,6 +226,11 @@ def _difference(one: Any, two: Any) -> str:
     return "" if one == two else f"{one}, against {two}"
 
 
+def _answer(record: dict[str, Any]) -> tuple[Any, bool]:
+    """Contact, no contact, or touched; an older run has no frame of the last kind."""
+    return record.get("contact"), bool(record.get("touched"))
+
+
 def figures(folder: Path, against: Path) -> list[str]:
     """Differences in contact and depth over the common frames, a line each. Raises like `first_difference`."""
     pairs = list(zip(read_summary(folder), read_summary(against), strict=False))
@@ -234,11 +240,12 @@ def figures(folder: Path, against: Path) -> list[str]:
     changed = [
         place
         for place, (one, two) in zip(places, pairs, strict=True)
-        if one.get("contact") != two.get("contact")
+        if _answer(one) != _answer(two)
     ]
     first = f", first {changed[0]}" if changed else ""
     depths_mm = np.array(
-        [[one.get("depth_max_mm", 0.0), two.get("depth_max_mm", 0.0)] for one, two in pairs], float
+        [[one.get("depth_max_mm") or 0.0, two.get("depth_max_mm") or 0.0] for one, two in pairs],
+        float,
     )
     apart_mm = np.abs(depths_mm[:, 0] - depths_mm[:, 1])
     worst = int(np.argmax(apart_mm))

@@ -66,6 +66,7 @@ def test_what_is_exposed_of_a_sensor() -> None:
     assert got["tacshade_source_dropped_total"] == 4
     assert got["tacshade_latency_seconds 99"] == pytest.approx(said["latency_ms"]["p99"] / 1000)
     assert got["tacshade_reason invalid torn"] == 1
+    assert got["tacshade_touched_frames_total"] == said["touched_frames"] == 0
     assert got["tacshade_mqtt_total published"] == 9
     assert got["tacshade_recorder_frames_total written"] == 5
     sensors.hear("tacshade/left/state", b"offline", False)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tacshade_client as tc
-from support.published_sensor import CRC, bump
+from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
 from tacshade_client.listener import WAITING_MAX
 
 from tacshade_edge.protocol import messages, wire
@@ -69,6 +69,20 @@ def test_messages_of_one_sensor_come_decoded(broker: Broker) -> None:
             "online",
             True,
         )
+
+
+def test_a_touch_of_unknown_depth_comes_through_the_broker(broker: Broker) -> None:
+    with (
+        PublishedSensor(broker.port, "left") as sensor,
+        tc.listen(f"127.0.0.1:{broker.port}", "left", ["height", "contact"]) as heard,
+    ):
+        sensor.show(unmeasured(7))
+        found = {message.part: message.value for message in (taken(heard) for _ in range(2))}
+    contact, height = found["contact"], found["height"]
+    assert (contact.contact, contact.touched, contact.depth_max_mm) == (0, 1, None)
+    assert contact.degraded_code == "touch_unmeasured"
+    assert (height.contact, height.touched, height.degraded) == (False, True, True)
+    assert float(np.nanmax(height.height_mm)) == 0
 
 
 def test_a_silence_from_the_start_names_the_sensors_that_are_there_once(

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from support.hostile_broker import BAD, HostileBroker
-from support.published_sensor import CRC, bump, calibration, dragged
+from support.published_sensor import CRC, bump, calibration, dragged, unmeasured
 from tacshade_client import Message, decode_message
 
 from tacshade_edge.protocol import messages, wire
@@ -149,6 +149,18 @@ def test_an_untouched_skin_is_flat() -> None:
     inside = picture[..., 0] > 0
     assert 0.7 < inside.mean() < 0.8
     np.testing.assert_array_equal(np.unique(picture[inside], axis=0), [[1, 128, 128]])
+
+
+def test_a_touch_of_unknown_depth_is_flat_but_a_contact() -> None:
+    made = pictures.Pictures(56)
+    made.add(INFO)
+    untouched = made.add(*frame(1, 0.0))
+    assert made.tactile[0] == 0
+    lost = messages.encode_contact(unmeasured(2), fps=60.0)
+    np.testing.assert_array_equal(made.add(message("contact", lost)), untouched)
+    known = dict(zip(pictures.TACTILE, made.tactile.tolist(), strict=True))
+    assert (known["contact"], known["depth_max_mm"]) == (1, 0)
+    assert made.passed_over == 0
 
 
 def test_what_is_not_of_the_frame_gives_no_picture() -> None:

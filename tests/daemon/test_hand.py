@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,15 +79,18 @@ def rig(lines: Lines) -> Rig:
     return Rig(lines)
 
 
-def result(t_ns: int, *, contact: bool = False, reason: Reason | None = None) -> Reconstruction:
+def result(
+    t_ns: int, *, contact: bool = False, reason: Reason | None = None, touched: bool = False
+) -> Reconstruction:
     height = np.zeros((1, 1), np.float32)
     grid = HeightMap(height, height > 0, 0, 0, 1)
     cloud = ObjectCloud(np.zeros((1, 3), np.float32), np.ones(1, np.uint16))
     objects = (TouchedObject(1, (0, 0, 20), (0, 0, 0), 1.0, 2.0),) if contact else ()
     valid = reason is None
-    return Reconstruction(
+    made = Reconstruction(
         7, t_ns, 0, "fast", valid, reason, contact, False, None, grid, cloud, objects
     )
+    return replace(made, touched=touched)
 
 
 def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
@@ -107,6 +111,13 @@ def test_without_contact_it_reports_ten_times_a_second(rig: Rig) -> None:
     for t_ns in range(0, 3 * PERIOD_NS, PERIOD_NS // 5):
         rig.see(result(t_ns))
     assert [f.t_ns for f in rig.reported()] == [0, PERIOD_NS, 2 * PERIOD_NS]
+
+
+def test_a_touch_of_unknown_depth_is_reported_when_it_begins_and_ends(rig: Rig) -> None:
+    for t_ns in range(6):
+        rig.see(result(t_ns, touched=2 <= t_ns < 4))
+    found = [(f.t_ns, f.state, f.touched) for f in rig.reported()]
+    assert found == [(0, "free", False), (2, "free", True), (4, "free", False)]
 
 
 def test_every_change_is_reported_at_once(rig: Rig) -> None:

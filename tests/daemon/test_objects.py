@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.published_sensor import bump
+from support.published_sensor import bump, unmeasured
 
 from tacshade_edge.daemon.objects import SETTLED_NS, ObjectEvents, TaughtObjects
 from tacshade_edge.daemon.observer import FrameResult
@@ -27,9 +27,13 @@ OBJECT = TouchedObject(1, (0.5, -1.5, 17.0), (4.0, 4.0, 1.0), 2.0, 50.0)
 
 
 class Seen:
-    """What the observer reports of frames, each with the names of its objects by label."""
+    """What the observer reports of frames, each with the names of its objects by label; None if something touches, but
+    its depth is unknown.
+    """
 
-    def __init__(self, frames: Iterable[dict[int, str | None]], *, taught: bool = True) -> None:
+    def __init__(
+        self, frames: Iterable[dict[int, str | None] | None], *, taught: bool = True
+    ) -> None:
         self.published: list[tuple[str, bytes]] = []
         self.told: list[str] = []
         events = ObjectEvents(
@@ -39,9 +43,10 @@ class Seen:
         for seq, named in enumerate(frames):
             objects = tuple(
                 replace(OBJECT, label=label, name=name, probability=name and 0.91234)
-                for label, name in named.items()
+                for label, name in (named or {}).items()
             )
-            made = replace(bump(seq, 2.0, 100, 100), t_ns=seq * STEP_NS, objects=objects)
+            result = bump(seq, 2.0, 100, 100) if named is not None else unmeasured(seq)
+            made = replace(result, t_ns=seq * STEP_NS, objects=objects)
             events.see(FrameResult(Frame(seq, 0, 0, FREE), calibration, made))
         self.needs = events.need()
 
@@ -77,6 +82,11 @@ def test_each_contact_and_each_change_is_reported() -> None:
     assert Seen([nut, key, nut, key, nut, key]).reported == []
     both: dict[int, str | None] = {1: "nut", 2: "key"}
     assert Seen([both] * 3).reported == [(2, "nut"), (2, "key")]
+
+
+def test_a_frame_of_unknown_depth_ends_no_contact() -> None:
+    seen = Seen([{1: "nut"}, None, {1: "nut"}, {1: "nut"}, None, {1: "nut"}, {1: "nut"}])
+    assert seen.reported == [(2, "nut")]
 
 
 def test_unknown_objects_are_not_reported() -> None:

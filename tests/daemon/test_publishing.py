@@ -13,10 +13,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.published_sensor import bump, unmeasured
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
-from tacshade_edge.daemon.observer import FrameResult
+from tacshade_edge.daemon.observer import FrameObserver, FrameResult
 from tacshade_edge.daemon.profiles import ActiveProfile
 from tacshade_edge.daemon.publishing import (
     STATUS,
@@ -252,6 +253,68 @@ def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: A
     )
     assert sent[3].volume_mm3 == pytest.approx(touched.volume_mm3)
     assert (sent[3].depth_max_mm, sent[3].slip) == (touched.objects[0].depth_max_mm, None)
+
+
+def shown(observer: FrameObserver, calibration: Calibration, *results: Reconstruction) -> None:
+    """Let an observer see results, one every `PERIOD_NS`."""
+    for seq, result in enumerate(results):
+        frame = Frame(seq, seq * PERIOD_NS, 0, np.zeros((2, 2), np.uint8))
+        made = replace(result, seq=seq, t_ns=frame.t_ns)
+        observer.see(FrameResult(frame, calibration, made))
+
+
+def test_a_touch_of_unknown_depth_is_published_when_it_begins_and_ends_and_at_10_hz(
+    calibration: Calibration,
+) -> None:
+    offers: list[tuple[str, bytes, int]] = []
+    settled: dict[int, FrameOutcome] = {}
+    publisher = Publisher(lambda *offer: offers.append(offer), ignore, settled.__setitem__)
+    free, lost, pressed = bump(0, 0.0, 0, 0, 8), unmeasured(0), bump(0, 2.0, 236, 328, 8)
+    shown(publisher, calibration, free, *[lost] * 7, pressed, lost, free)
+    sent = {
+        stream: [(seq, payload) for name, payload, seq in offers if name == stream]
+        for stream in ("height", "contact", "touch")
+    }
+    heights = [wire.decode(payload) for _, payload in sent["height"]]
+    assert [(h.seq, h.contact, h.touched, h.degraded) for h in heights] == [
+        (1, False, True, True),
+        (8, True, False, False),
+        (9, False, True, True),
+        (10, False, False, False),
+    ]
+    assert [seq for seq, _ in sent["contact"]] == [0, 1, 6, 8, 9, 10]
+    touched = {seq: json.loads(payload)["touched"] for seq, payload in sent["contact"]}
+    assert [seq for seq, answer in touched.items() if answer] == [1, 6, 9]
+    reasons = {seq: json.loads(payload)["reason_code"] for seq, payload in sent["touch"]}
+    assert reasons == {1: "touch_unmeasured", 9: "touch_unmeasured", 10: ""}
+    assert settled == dict.fromkeys((0, *range(2, 8)), "without_contact")
+
+
+def test_a_touch_of_unknown_depth_continues_a_contact_and_begins_one_if_it_lasts(
+    calibration: Calibration,
+) -> None:
+    sent: list[ContactEvent] = []
+    events = ContactEvents(lambda _, payload: sent.append(decode_contact_event(payload)))
+    free, lost, pressed = bump(0, 0.0, 0, 0, 8), unmeasured(0), bump(0, 2.0, 236, 328, 8)
+    shown(events, calibration, free, lost, *[free] * 7)
+    assert sent == []  # one frame alone
+    shown(events, calibration, pressed, *[lost] * 20, pressed, *[free] * 7)
+    assert [(one.type, one.id, one.end_ns) for one in sent] == [
+        ("new", 1, None),
+        ("end", 1, 21 * PERIOD_NS),
+    ]
+    sent.clear()
+    shown(events, calibration, free, *[lost] * 7, *[free] * 7)
+    began, ended = sent
+    assert (began.type, began.t_ns, began.start_ns) == ("new", 6 * PERIOD_NS, PERIOD_NS)
+    assert {one.depth_max_mm for one in sent} == {one.objects for one in sent} == {None}
+    assert (ended.type, ended.end_ns) == ("end", 7 * PERIOD_NS)
+
+
+def test_frames_with_a_touch_of_unknown_depth_are_counted(calibration: Calibration) -> None:
+    health = Health(FrameLedger(), Timings())
+    shown(health, calibration, bump(0, 2.0, 236, 328, 8), unmeasured(1), unmeasured(2))
+    assert health.snapshot(0, {})["touched_frames"] == 2
 
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.published_sensor import unmeasured
 
 from tacshade_edge.core.calibration.reference.references import bounds
 from tacshade_edge.core.profiles import PROFILES
@@ -29,7 +30,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.types import U8, Calibration, Frame, KnownObject, Need
-from tools.testbed.painted_sensor import painted_calibration
+from tools.testbed.painted_sensor import FREE, painted_calibration
 
 FPS = 10
 
@@ -124,6 +125,22 @@ def test_a_touch_or_an_invalid_frame_ends_the_rest(
     resting.show(pictures.free, BATCH_S + 0.4)
     assert resting.taken() == UNTOUCHED_FRAMES
     assert resting.references.frames.discarded == 1
+
+
+def test_a_touch_of_unknown_depth_is_no_rest_and_no_new_zero(resting: Resting) -> None:
+    frames, lost = resting.references.frames, unmeasured(0)
+    frames.see(Frame(0, 0, 0, FREE), replace(lost, touched=False))
+    frames.see(Frame(1, 1, 0, FREE), replace(lost, touched=False))
+    assert frames.at_rest
+    frames.see(Frame(2, 2, 0, FREE), lost)
+    assert not frames.at_rest
+    replies: list[Any] = []
+    resting.references.handle(replies.append)
+    resting.references.see(FrameResult(Frame(3, 3, 0, FREE), None, lost))
+    resting.references.poll()
+    (refused,) = replies
+    assert refused.code is ReasonCode.FRAME_IN_CONTACT
+    assert "a contact of unknown depth" in refused.text
 
 
 def test_nobody_knows_what_touched_while_no_frame_came(resting: Resting, pictures: Any) -> None:

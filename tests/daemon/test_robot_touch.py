@@ -123,6 +123,19 @@ def test_each_frame_in_contact_and_one_at_the_end_until_off(bench: Bench, binary
     assert bench.robot.health().items() >= {"touch_events": 4, "touch_dropped": 0}.items()
 
 
+def test_a_touch_of_unknown_depth_is_an_event_and_no_end(bench: Bench) -> None:
+    bench.ask("TOUCH ON depth_mm")
+    lost = replace(FREE, touched=True)
+    for result, line in (
+        (replace(lost, seq=1, t_ns=NS), "EVT TOUCH 1 1000000000 touched=1 depth_mm=-"),
+        (touched(2, 1.25), "EVT TOUCH 2 2000000000 depth_mm=1.250"),
+        (replace(lost, seq=3, t_ns=3 * NS), "EVT TOUCH 3 3000000000 touched=1 depth_mm=-"),
+        (replace(FREE, seq=4, t_ns=4 * NS), "EVT TOUCH 4 4000000000 contact=0 depth_mm=-"),
+    ):
+        bench.show(result)
+        assert bench.line() == line
+
+
 def test_what_is_refused(bench: Bench) -> None:
     assert (
         bench.ask("TOUCH") == f"ERR 1 ARGS expected {bench.ask('HELP TOUCH').removeprefix('OK 2 ')}"

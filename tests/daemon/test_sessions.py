@@ -325,6 +325,22 @@ def test_a_press_that_was_commanded_is_not_added_again_when_it_settles(
     robot.end()
 
 
+def test_a_frame_of_unknown_depth_is_no_press_and_ends_none(
+    robot: Robot, ball: Reconstruction, nothing: Reconstruction
+) -> None:
+    lost = replace(nothing, touched=True)
+    robot.show(nothing)
+    robot.ask("BEGIN")
+    begun_ns = time.monotonic_ns()
+    for k in range(60):
+        shown = lost if k % 20 == 19 else ball
+        robot.show(shown, t_ns=begun_ns + k * 33_000_000)
+    assert status(robot).presses == 1
+    refused = robot.add(lost)
+    assert code(refused) is ReasonCode.NO_CONTACT
+    assert "its depth is unknown" in str(refused)
+
+
 def test_a_deferred_map_is_published_though_nothing_more_comes(
     robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:

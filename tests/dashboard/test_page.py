@@ -23,7 +23,15 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
 from support.browser import browser, errors
 from support.dashboard_process import dashboard
-from support.published_sensor import COLS, DISC, PublishedSensor, bump, dragged, uncertain
+from support.published_sensor import (
+    COLS,
+    DISC,
+    PublishedSensor,
+    bump,
+    dragged,
+    uncertain,
+    unmeasured,
+)
 from support.published_sensor import calibration as calibrated_sensor
 from support.shown_page import (
     NEEDS_A_BROWSER,
@@ -391,3 +399,35 @@ def test_taught_objects_are_named_until_the_contact_ends(
         return page.find_element(By.ID, "n-name").text == ""
 
     wait_until(unnamed, 15, "no name")
+
+
+def map_says(page: Chrome) -> tuple[str, bool]:
+    """The words on the map, empty if hidden, and whether its rim has the colour of a touch of unknown depth."""
+    return text(page, "free"), bool(
+        js(page, "document.querySelector('.is-touched #disc') !== null")
+    )
+
+
+def test_a_touch_of_unknown_depth_is_neither_contact_nor_none(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(7, 0.0, DISC.row_c, DISC.col_c, 4), 7)
+    shows(page, "n-contact", "none")
+    assert map_says(page) == ("nothing touches", False)
+
+    until_shown(page, sensor, lambda: unmeasured(8), 8)
+    shows(page, "n-contact", "touched, depth unknown")
+    assert map_says(page) == ("touched, depth unknown", True)
+    assert text(page, "n-depth") == text(page, "n-slip") == ""
+    light = page.find_element(By.ID, "n-contact").value_of_css_property("color")
+
+    until_shown(page, sensor, lambda: bump(9, 2.0, DISC.row_c, DISC.col_c, 4), 9)
+    shows(page, "n-contact", "1 object")
+    assert map_says(page) == ("", False)
+    assert page.find_element(By.ID, "n-contact").value_of_css_property("color") != light
+
+    # The map of the release is lost; only `contact` comes.
+    lost = messages.encode_contact(unmeasured(10), fps=30.0)
+    told = ("touched, depth unknown", True)
+    wait_until(lambda: sensor.publish("contact", lost) or map_says(page) == told, 15, "the touch")

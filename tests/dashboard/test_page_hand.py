@@ -146,6 +146,33 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     wait_until(released, 20, "a release whose map was lost")
 
 
+LIGHT = (
+    """getComputedStyle(document.querySelector("#whole-maps figcaption .dot")).backgroundColor"""
+)
+
+
+def test_a_finger_that_is_touched_at_an_unknown_depth_has_a_light_of_its_own(
+    page: Chrome, hand: tuple[str, WholeHand]
+) -> None:
+    address, whole = hand
+    opened(page, address, "hand/left")
+    lights = []
+    for touched, says in ((False, "free"), (True, "touched, depth unknown")):
+        thumb = replace(FREE, touched=touched)
+
+        def said(thumb: Finger = thumb, says: str = says) -> bool:
+            whole.publish(None, thumb=thumb)
+            captions = page.find_elements(By.CSS_SELECTOR, "#whole-maps figcaption")
+            return bool(captions) and captions[0].text == f"thumb\n{says}"
+
+        wait_until(said, 20, says)
+        lights.append(js(page, LIGHT))
+        skins = page.find_elements(By.CSS_SELECTOR, "#whole-plane .unmeasured")
+        assert len(skins) == touched
+    assert lights[0] != lights[1]
+    shows(page, "whole-objects", "touched, depth unknown")
+
+
 def test_a_hand_is_not_called_old_before_its_first_word(
     page: Chrome, hand: tuple[str, WholeHand]
 ) -> None:

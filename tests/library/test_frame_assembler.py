@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.published_sensor import CRC, bump, dragged, uncertain
+from support.published_sensor import CRC, bump, dragged, uncertain, unmeasured
 from support.published_sensor import calibration as published_calibration
 
 from tacshade_edge.daemon.observer import FrameResult
@@ -242,9 +242,25 @@ def test_objects_have_the_names_that_the_daemon_published_until_the_contact_ends
 
     assert names(info, *own(touching)) == [(None, None)]
     assert names(event, *own(of(TOUCHED, 8))) == [("nut_m8", 0.97)]
+    assert names(*own(unmeasured(9, 8))) == []
     assert names(*own(of(TOUCHED, 9))) == [("nut_m8", 0.97)]
     assert names(*own(of(bump(10, 0.0, 236.0, 328.0, 8), 10))) == []
     assert names(*own(of(TOUCHED, 11))) == [(None, None)]
+
+
+def test_a_touch_of_unknown_depth_is_neither_contact_nor_none() -> None:
+    info = messages.encode_info(
+        version="1", config_digest="", profile="fast", calibration=published_calibration()
+    )
+    frames = FrameAssembler()
+    for topic, payload in (("info", info), *own(unmeasured(7, 8))):
+        frames.add(topic, payload)
+    result = frames.take()
+    assert result is not None
+    assert (result.in_contact, result.touched, result.valid) == (False, True, True)
+    assert np.isnan(result.depth_max_mm)
+    assert result.degraded_code == "touch_unmeasured"
+    assert "touched, depth unknown" in repr(result)
 
 
 def own(result: Reconstruction) -> list[tuple[str, bytes]]:

@@ -95,6 +95,8 @@ def test_every_sound_vector_is_understood(vector: dict[str, Any]) -> None:
     hand, expect = decode_hand(vector["payload"].encode()), vector["expect"]
     assert (hand.t_ns, hand.seq) == (expect["t_ns"], expect["seq"])
     assert {name: finger.state for name, finger in hand.fingers.items()} == expect["states"]
+    touched = [name for name, finger in hand.fingers.items() if finger.touched]
+    assert touched == expect.get("touched", [])
     objects = [o for finger in hand.fingers.values() for o in finger.objects]
     moved = [o.motion and [*o.motion.translation_mm, *o.motion.rotation_deg] for o in objects]
     assert moved == expect["motions"]

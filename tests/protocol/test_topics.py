@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.networks import fitted_with
-from support.published_sensor import calibration, health
+from support.published_sensor import bump, calibration, health, unmeasured
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.daemon.publishing import discovery_topics, encode_discovery
@@ -61,6 +61,7 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         "reason_code": "",
         "degraded_code": "",
         "wall_ns": 2_000,
+        "touched": 0,
     }
     assert list(contact.items()) == list(expected.items())  # in this order
     free = json.loads(
@@ -73,6 +74,23 @@ def test_contact_is_flat_numbers_with_the_promised_keys(
         None,
         None,
     ]
+
+
+def test_a_touch_of_unknown_depth_has_no_numbers(
+    make_result: Callable[..., Reconstruction],
+) -> None:
+    unmeasured = Reason(ReasonCode.TOUCH_UNMEASURED, "something touches")
+    result = make_result(contact=False, touched=True, degraded=unmeasured)
+    contact = json.loads(messages.encode_contact(result, fps=1.0))
+    assert (contact["contact"], contact["touched"]) == (0, 1)
+    assert contact["degraded_code"] == "touch_unmeasured"
+    assert {contact[key] for key in ("depth_max_mm", "area_mm2", "volume_mm3")} == {None}
+    touch = json.loads(messages.encode_touch(result))
+    assert (touch["touch"], touch["reason_code"]) == (None, "touch_unmeasured")
+
+
+def test_an_older_daemons_contact_has_no_touch_of_unknown_depth() -> None:
+    assert topics.decode_contact(b'{"t_ns": 1, "seq": 2, "contact": 0}').touched == 0
 
 
 def test_a_touch_is_numbers_by_name_with_their_deviations(
@@ -369,3 +387,28 @@ def test_a_payload_of_another_kind_is_refused() -> None:
     assert topics.decode_preview("preview", b"\xff\xd8\xff") == b"\xff\xd8\xff"
     with pytest.raises(DecodeError, match="expected a JPEG image"):
         topics.decode_preview("preview", b"GIF")
+
+
+@pytest.mark.parametrize(
+    ("result", "contact", "depth"),
+    [
+        (bump(1, 1.26, 236, 328, 8), "ON", "1.3"),
+        (bump(1, 0.0, 0, 0, 8), "OFF", "0.0"),
+        (unmeasured(1), "ON", "None"),  # which Home Assistant takes for unknown
+    ],
+    ids=["contact", "no contact", "touched"],
+)
+def test_home_assistant_shows_each_of_the_three_answers(
+    result: Reconstruction, contact: str, depth: str
+) -> None:
+    jinja2 = pytest.importorskip("jinja2")
+    value = json.loads(messages.encode_contact(result, fps=1.0))
+    shown = {
+        name: jinja2.Template(json.loads(ANNOUNCED[topic])["value_template"]).render(
+            value_json=value
+        )
+        for topic in ANNOUNCED
+        for name in ("contact", "depth")
+        if f"/{name}/config" in topic
+    }
+    assert shown == {"contact": contact, "depth": depth}

@@ -27,9 +27,10 @@ METADATA = (
     "invalid",
     "saturated",
     "degraded",
+    "touched",
 )
 FLAGS = st.fixed_dictionaries(
-    {name: st.booleans() for name in ("valid", "contact", "saturated")}
+    {name: st.booleans() for name in ("valid", "contact", "saturated", "touched")}
     | {"degraded": st.sampled_from([None, GLARE])}
 )
 KINDS: dict[type, tuple[str, str]] = {
@@ -87,6 +88,7 @@ def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
             *(expect.get(k, 0.0) for k in ("row0", "col0", "step_px")),
         ),
         cloud=ObjectCloud(points, np.array(expect.get("labels", []), np.uint16)),
+        touched=expect["touched"],
         shear_mm=shear.reshape(*height.shape, 2) if shear.size else None,
         sigma_mm=sigma.reshape(height.shape) if sigma.size else None,
     )

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.published_sensor import unmeasured
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.stitching.stitcher import Raster
@@ -47,6 +50,13 @@ def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
         ((map_[..., 2] > 200) & (map_[..., 0] < 100)).any() for map_ in maps
     ]  # the scale's yellow end
     assert deep == [False, True, False, True, False]
+
+
+def test_a_touch_of_unknown_depth_is_named_on_the_sheet() -> None:
+    lost = unmeasured(1)
+    image = np.zeros((480, 640), np.uint8)
+    assert tile("one", image, lost).text == "one: touched, depth unknown"
+    assert tile("one", image, replace(lost, touched=False)).text == "one: no contact"
 
 
 def raster(rows: int, cols: int) -> Raster:

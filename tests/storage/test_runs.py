@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.published_sensor import unmeasured
 
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
@@ -23,6 +24,7 @@ from tacshade_edge.storage.runs import (
     SUMMARY,
     TIMINGS,
     RunWriter,
+    figures,
     first_difference,
     payloads,
     read_summary,
@@ -211,3 +213,18 @@ def test_a_damaged_run_is_no_difference(tmp_path: Path) -> None:
         first_difference(run, other)
     with pytest.raises(ConfigError, match=r"none/summary\.json: No such file"):
         first_difference(run, tmp_path / "none")
+
+
+def unknown(result: Reconstruction) -> Reconstruction:
+    """The same frame as if something touched whose depth is unknown."""
+    return replace(unmeasured(result.seq), t_ns=result.t_ns)
+
+
+def test_a_touch_of_unknown_depth_has_no_depth_and_differs_from_no_contact(tmp_path: Path) -> None:
+    record = summary(unmeasured(3))
+    assert (record["contact"], record["touched"]) == (False, True)
+    assert (record["depth_max_mm"], record["volume_mm3"]) == (None, None)
+    assert record["degraded_code"] == "touch_unmeasured"
+    one, other = write(tmp_path / "one"), write(tmp_path / "other", unknown)
+    found = figures(one, other)
+    assert found[0] == "contact: differs in 1 of 3 frames, first frame 2 (2.png)"

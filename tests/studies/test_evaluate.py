@@ -11,12 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from support.half_family import HALF_SENSOR, half_family
+from support.published_sensor import unmeasured
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements
+from tacshade_edge.studies.evaluate.labelled import (
+    COUNTS,
+    FoundRow,
+    agreements,
+    found_row,
+    text,
+)
 from tacshade_edge.studies.evaluate.report import (
     document,
     figures,
@@ -234,3 +241,14 @@ def test_csv_has_a_column_for_each_field_and_nothing_for_nan() -> None:
     rows = [Line("a, b", True, 1.23456789), Line("", False, math.nan)]
     assert csv_text(Line, rows) == 'name,found,depth_mm\n"a, b",1,1.23457\n,0,\n'
     assert csv_text(Line, []) == "name,found,depth_mm\n"
+
+
+def test_a_touch_of_unknown_depth_is_not_lost_but_has_no_depth() -> None:
+    rows, known = some()
+    found = found_row("5.png", unmeasured(5))
+    assert (found.contact, found.touched, math.isnan(found.depth_mm)) == (False, True, True)
+    rows[5] = found
+    assert agreements(rows, known)[0].frames == len(rows) - 1
+    assert [count(rows) for name, count in COUNTS.items() if "without" in name] == ["0"]
+    assert COUNTS["touched, depth unknown"](rows) == "1"
+    assert "touched, depth unknown" in text(rows, {})

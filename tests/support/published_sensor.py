@@ -13,7 +13,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.daemon.ledger import FrameLedger, Timings
 from tacshade_edge.daemon.publishing import Health
 from tacshade_edge.protocol import codec, messages, wire
-from tacshade_edge.reasons import Reason
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import (
     Calibration,
     Disc,
@@ -75,6 +75,12 @@ def bump(
             60.0,
         )
     )
+
+
+def unmeasured(seq: int, step_px: int = 4) -> Reconstruction:
+    """A result in which something touches, but its depth is unknown."""
+    reason = Reason(ReasonCode.TOUCH_UNMEASURED, "something touches, but its depth is unknown")
+    return replace(bump(seq, 0.0, 0, 0, step_px), touched=True, degraded=reason)
 
 
 def dragged(

@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
             {"label": each.label, **_answer(Answer(each.name, each.probability))}
             for each in touched.results[args.profile].objects
         ]
-        records.append({"image": touched.name, "objects": objects})
+        unmeasured = touched.results[args.profile].touched
+        records.append({"image": touched.name, "objects": objects, "touched": unmeasured})
         description = touched.descriptions[args.profile]
         if description is not None:
             seen.append(description)
@@ -64,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"{len(seen)} of {len(images)} images: {_text(together)}")
     else:
         for record in records:
-            found = ", ".join(map(_text, record["objects"])) or "no contact"
+            none = "touched, depth unknown" if record["touched"] else "no contact"
+            found = ", ".join(map(_text, record["objects"])) or none
             print(f"{record['image']}: {found}")
     return 1 if unusable else 0
 

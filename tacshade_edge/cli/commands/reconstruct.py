@@ -114,8 +114,12 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(text, end="")
     else:
-        touched, measured = sum(record["contact"] for record in records), len(records) - invalid
-        found = f"{measured} of {len(images)} images reconstructed, {touched} in contact"
+        contacts, unmeasured = (
+            sum(record[name] for record in records) for name in ("contact", "touched")
+        )
+        measured = len(records) - invalid
+        found = f"{measured} of {len(images)} images reconstructed, {contacts} in contact"
+        found += f", {unmeasured} touched (depth unknown)" if unmeasured else ""
         print(f"{args.out}: {found}, {invalid} invalid, {unreadable} unreadable")
     return 1 if invalid or unreadable else 0
 

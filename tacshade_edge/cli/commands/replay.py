@@ -179,10 +179,12 @@ def _replay(args: argparse.Namespace) -> int:
         shown.end()
         if args.out is not None and not interrupted:
             writer.finish(progress.as_dict())
+    touched = f", {progress.touched} touched (depth unknown)" if progress.touched else ""
     print(
-        f"{args.input}: {counted(progress.frames, 'frame')}, {progress.contacts} in contact, {progress.invalid} "
-        f"invalid, {progress.undecodable} unreadable; {progress.recorded_seconds:.2f} s of recording in "
-        f"{progress.seconds:.2f} s, {progress.speed_up:.2f} times real time"
+        f"{args.input}: {counted(progress.frames, 'frame')}, {progress.contacts} in contact{touched}, "
+        f"{progress.invalid} invalid, {progress.undecodable} unreadable; "
+        f"{progress.recorded_seconds:.2f} s of recording in {progress.seconds:.2f} s, "
+        f"{progress.speed_up:.2f} times real time"
     )
     if broker is not None:
         counts = link.counters()

@@ -173,7 +173,7 @@ def deepest_of_each(results: Iterable[Result]) -> Iterator[Result]:
     """Yield the result of the deepest frame of each contact, after its end."""
     deepest: Result | None = None
     for result in results:
-        if not result.valid:
+        if not result.valid or result.touched:
             continue
         if result.in_contact:
             if deepest is None or result.depth_max_mm > deepest.depth_max_mm:

@@ -41,8 +41,11 @@ REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
 
 
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
-    """Add the results of tracking to a reconstruction's objects; without shear it stays the same."""
-    if any(touched.shear_mm is None for touched in result.objects):
+    """Add the results of tracking to a reconstruction's objects; without shear it stays the same.
+
+    A frame whose depth is unknown (`touched`) neither ends nor begins an object: the next contact continues.
+    """
+    if result.touched or any(touched.shear_mm is None for touched in result.objects):
         return result
     return replace(result, objects=tracker.step(result.t_ns, result.objects))
 

@@ -7,7 +7,7 @@ const SIDE_MAX = 4096, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
 const OBJECTS_MAX = 64, QUANTITIES_MAX = 32, QUANTITY_MAX = 1e6;
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
 const OBJECT = /^[A-Za-z0-9_.-]{1,64}$/;
-const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps"];
+const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps", "touched"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
 const GEOMETRY = { // minimum and maximum; a camera without a distance is orthographic
   skin_radius_mm: [0.1, 1000], visible_half_angle_deg: [1, 90], mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
@@ -109,6 +109,7 @@ export function checkHand(message) {
   for (const [name, finger] of fingers) {
     if (!NAME.test(name)) throw new Error("not a finger's name");
     if (!Array.isArray(finger.objects) || finger.objects.length > OBJECTS_MAX) throw new Error("too many objects");
+    finger.touched = finger.touched === true;
     finger.reason_code = cut(String(finger.reason_code ?? ""), 64);
     for (const { shear_mm, depth_max_mm, area_mm2 } of finger.objects) {
       if (shear_mm !== null && shear_mm !== undefined && !(Array.isArray(shear_mm) && shear_mm.length === 3 && shear_mm.every(Number.isFinite))) throw new Error("not a shear");

@@ -5,6 +5,7 @@ import { fitDisc } from "./disc.js";
 import { zeroMap } from "./geometry.js";
 import { FINGERS_MAX, SENSORS_MAX, checkHand, cut } from "./bounds.js";
 import { CONTACT, VALUES } from "./newest.js";
+import { UNMEASURED } from "./tiles.js";
 import { element, levelOf, number, table } from "./panels.js";
 import { AutoScale, drawBar, drawTicks } from "./scale.js";
 import { decodeHand } from "./wire.js";
@@ -13,6 +14,7 @@ const TOPIC = /^tacshade\/hand\/([^/]+)\/(state|objects)$/;
 const STALE_MS = 3000;
 const AXES = ["x", "y", "z"], NORMAL_MM = 8, MARGIN_MM = 6;
 const SLIPS = ["sticks", "slips in part", "slips"];
+const LIGHTS = { contact: "good", touched: "touched", free: "off", away: "bad" }; // the level of a finger's light
 const $ = (id) => document.getElementById(id);
 
 export class Whole {
@@ -123,11 +125,13 @@ export class Whole {
     $("whole-state").dataset.level = works ? levelOf(state) : waits ? "warn" : "bad";
     $("whole-state").textContent = waits ? "No word from this hand yet." : !works ? `This hand is ${state ?? "unknown"}: what you see is old.` : stale ? "This hand publishes nothing: what you see is old." : `${this.shown}: ${state}`;
     for (const [name, { caption, figure, map }] of this.fingers) {
-      const { state = "away", reason_code = "", objects = [] } = this.message.fingers[name] ?? {}, [greatest] = objects;
-      const depth = greatest && map?.flags & CONTACT ? `${number(greatest.depth_max_mm, 2)} mm` : `${state}${reason_code ? `: ${reason_code}` : ""}`;
+      const { state = "away", touched = false, reason_code = "", objects = [] } = this.message.fingers[name] ?? {}, [greatest] = objects;
+      const words = touched ? UNMEASURED : `${state}${reason_code ? `: ${reason_code}` : ""}`;
+      const depth = greatest && map?.flags & CONTACT ? `${number(greatest.depth_max_mm, 2)} mm` : words;
+      figure.dataset.level = LIGHTS[touched ? "touched" : state];
       const lines = [depth, SLIPS[Math.max(...objects.map(({ slip }) => slip ?? -1))] ?? ""], key = lines.join();
       figure.classList.toggle("is-away", state !== "contact" && state !== "free");
-      if (caption.dataset.key !== key) caption.replaceChildren(element("b", { textContent: name }), ...lines.map((line) => element("span", { textContent: line })));
+      if (caption.dataset.key !== key) caption.replaceChildren(element("b", {}, element("i", { className: "dot" }), name), ...lines.map((line) => element("span", { textContent: line })));
       caption.dataset.key = key;
     }
   }
@@ -139,8 +143,13 @@ export class Whole {
       ["x, y, z mm", (o) => place(o.centroid_mm)], ["normal", (o) => o.normal.map((value) => number(value, 2)).join(", ")],
       ["depth mm", (o) => number(o.depth_max_mm, 2)], ["area mm²", (o) => number(o.area_mm2)], ["shear mm", (o) => (o.shear_mm ? number(Math.hypot(...o.shear_mm), 2) : "")], ["slip", (o) => SLIPS[o.slip] ?? ""],
     ].filter(([, of]) => objects.some((o) => of(o) !== ""));
-    $("whole-objects").replaceChildren(table("", objects.map((o) => [o.name, ...columns.map(([, of]) => of(o))]), ["finger", ...columns.map(([head]) => head)]) ?? element("small", { textContent: "no finger touches anything" }));
+    $("whole-objects").replaceChildren(table("", objects.map((o) => [o.name, ...columns.map(([, of]) => of(o))]), ["finger", ...columns.map(([head]) => head)]) ?? element("small", { textContent: this.unmeasured() ? UNMEASURED : "no finger touches anything" }));
     this.drawPlane(objects);
+  }
+
+  /** Whether something touches a finger, but its depth is unknown. */
+  unmeasured() {
+    return Object.values(this.message.fingers).some(({ touched }) => touched);
   }
 
   /** Draw the fingers as named circles and what they touch as one body, in the plane in which the fingers are spread most. */
@@ -158,8 +167,9 @@ export class Whole {
     const moved = this.holdBody(objects);
     const parts = moved ? [outline(this.body.map(flat), "grasped"), outline(this.body.map((p) => flat(moved(p))), "body")] : objects.length > 1 ? [outline(objects.map((o) => flat(o.centroid_mm)), "body")] : [];
     for (const { name, at, radius_mm } of skins) {
-      const [x, y] = flat(at), touches = objects.some((o) => o.name === name);
-      parts.push(shape("circle", { cx: x, cy: y, r: radius_mm, class: touches ? "skin touching" : "skin" }, name), shape("text", { x, y, class: "name" }, undefined, name));
+      const [x, y] = flat(at), touches = objects.some((o) => o.name === name), { touched } = this.message.fingers[name] ?? {};
+      const [kind, about] = touched ? ["skin unmeasured", `${name}: ${UNMEASURED}`] : [touches ? "skin touching" : "skin", name];
+      parts.push(shape("circle", { cx: x, cy: y, r: radius_mm, class: kind }, about), shape("text", { x, y, class: "name" }, undefined, name));
     }
     for (const { name, centroid_mm, normal, extent_mm, slip } of objects) {
       const [x, y] = flat(centroid_mm), [dx, dy] = flat(normal), fill = objectColour([...this.fingers.keys()].indexOf(name) + 1);

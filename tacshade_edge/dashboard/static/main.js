@@ -11,7 +11,7 @@ import { Link } from "./link.js";
 import { showContacts, withEvent } from "./lived.js";
 import { MapView } from "./mapview.js";
 import { drawArrows } from "./marks.js";
-import { CONTACT, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
+import { CONTACT, TOUCHED, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
 import { counted, element, levelOf, number, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
@@ -19,7 +19,7 @@ import { commandRecordings, updateRecording } from "./record.js";
 import { Recordings } from "./recordings.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
-import { showContact, showNames, showRates, withName } from "./tiles.js";
+import { UNMEASURED, showContact, showNames, showRates, withName } from "./tiles.js";
 import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
@@ -94,7 +94,7 @@ function takeChosen(what, payload, retained) {
   } else if (what === "contact") {
     json(payload, (contact) => {
       keepContact(view, contact);
-      if (contact.contact === 0 && view.named.length) showNames(view.named = []);
+      if (contact.contact === 0 && !contact.touched && view.named.length) showNames(view.named = []);
       view.heard_ms = performance.now();
       chart.add(contact.depth_max_mm ?? null, contact.slip === FULL_SLIP);
       rezero.heard(contact);
@@ -306,7 +306,6 @@ function draw() {
     heights.draw(map, geometry);
     skin.setSkin(map, geometry, heights.scale_mm);
     updateFlags(map.flags);
-    $("free").hidden = (map.flags & (CONTACT | INVALID)) !== 0;
     if (!(map.flags & CONTACT)) {
       updateObjects(null);
       heights.setSigma(null);
@@ -326,9 +325,18 @@ function draw() {
   if (redraw) skin.render();
   const numbers = contactOfMap(view);
   showContact(numbers);
+  if (view.map) showFree(view.map.flags, numbers);
   $("arrows").classList.toggle("slides", numbers?.slip === FULL_SLIP);
   if (view.map) touch.draw(touchOfMap(view));
   updateStale();
+}
+
+/** What the map says while it shows no contact. The numbers continue after the last map, so they come first. */
+function showFree(flags, numbers) {
+  const free = (flags & (CONTACT | INVALID)) === 0, touched = free && (numbers ? numbers.touched === 1 : (flags & TOUCHED) !== 0);
+  $("free").hidden = !free;
+  $("free").textContent = touched ? UNMEASURED : "nothing touches";
+  $("map").classList.toggle("is-touched", touched);
 }
 
 /** Points and their description come as two messages, and the `final` of an earlier session remains during a new one. */

@@ -2,7 +2,7 @@
 
 import { zeroMap } from "./geometry.js";
 
-export const CONTACT = 1;
+export const CONTACT = 1, TOUCHED = 32;
 const RELEASE_LOST_MS = 500, MESSAGES_KEPT = 64, HEADER_BYTES = 96, SEQ_AT = 8;
 export const VALUES = { height: "height_mm", cloud: "points_mm", shear: "shear_mm", sigma: "sigma_mm" };
 

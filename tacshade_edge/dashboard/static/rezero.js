@@ -45,4 +45,4 @@ export class Rezero {
   }
 }
 
-const rests = (contact) => contact.contact === 0 && !contact.reason_code;
+const rests = (contact) => contact.contact === 0 && !contact.touched && !contact.reason_code;

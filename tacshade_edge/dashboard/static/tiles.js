@@ -2,12 +2,14 @@
 
 import { counted, number } from "./panels.js";
 
+export const UNMEASURED = "touched, depth unknown";
 const NAMES_MAX = 4;
 const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
 
 export function showContact(contact) {
-  const free = contact?.contact === 0, { objects, slip } = contact ?? {};
-  put("n-contact", !contact ? "" : free ? "none" : counted(objects, "object"), contact && !free ? "good" : undefined);
+  const touched = contact?.touched === 1, free = contact?.contact === 0 && !touched, { objects, slip } = contact ?? {};
+  const found = !contact ? "" : free ? "none" : touched ? UNMEASURED : counted(objects, "object");
+  put("n-contact", found, touched ? "touched" : contact && !free ? "good" : undefined);
   const [words, level] = free ? ["none"] : SLIPS[slip] ?? [""];
   put("n-slip", words, level);
   put("n-depth", number(contact?.depth_max_mm, 2));

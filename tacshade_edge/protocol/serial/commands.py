@@ -51,6 +51,8 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
 }
 """The word of each code on the serial line, and at the beginning of an error of ``res/stitch``."""
 _OTHERWISE: Final = "REFUSED"
+UNKNOWN: Final = "-"
+"""An unknown value."""
 _THREE_DECIMALS: Final = ("depth_mm", "disagreement_mm")
 _STITCH_ACTIONS: Final = ("BEGIN", "ADD", "END", "ABORT", "STATUS")
 _BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
@@ -85,11 +87,12 @@ class TouchSeen:
     t_ns: int
     contact: bool  # False once, when the contact ends, and where only a learnt model sees a touch
     values: tuple[tuple[str, float | None], ...]
+    touched: bool = False  # something touches, but its depth is unknown; `contact` is then False
 
     def text(self) -> str:
-        """The event that reports it; at the end of a contact, ``contact=0`` and no values."""
-        end = "" if self.contact else " contact=0"
-        return f"TOUCH {self.seq} {self.t_ns}{end}" + "".join(
+        """The event that reports it: ``touched=1`` for an unknown depth, else ``contact=0`` without contact."""
+        state = " touched=1" if self.touched else "" if self.contact else " contact=0"
+        return f"TOUCH {self.seq} {self.t_ns}{state}" + "".join(
             f" {name}={_value_text(v)}" for name, v in self.values
         )
 
@@ -238,16 +241,19 @@ def ready_text(away_ms: int) -> str:
 
 
 def _figure_text(name: str, value: object) -> object:
+    if value is None:
+        return UNKNOWN
     if name in _THREE_DECIMALS:
         return f"{value:.3f}"
     return int(value) if isinstance(value, bool) else value
 
 
 def _value_text(value: float | None) -> str:
-    """Format with three decimals, a large number with one; ``-`` if unknown or larger than any touch."""
+    """Format with three decimals, a large number with one; `UNKNOWN` if unknown or larger than any touch."""
     if value is None or not math.isfinite(value):
-        return "-"
-    return next((text for n in (3, 1) if len(text := f"{value:.{n}f}") <= _VALUE_BYTES_MAX), "-")
+        return UNKNOWN
+    texts = (f"{value:.{decimals}f}" for decimals in (3, 1))
+    return next((text for text in texts if len(text) <= _VALUE_BYTES_MAX), UNKNOWN)
 
 
 def too_slow(asked: TouchAsked, baud: int) -> Reason | None:

@@ -158,4 +158,5 @@ def _finger(finger: Finger) -> dict[str, Any]:
         "seq": finger.seq,
         "depth_max_mm": None if greatest is None else greatest.depth_max_mm,
         "slip": None if greatest is None else greatest.slip,
+        "touched": int(finger.touched),
     }

@@ -29,12 +29,13 @@ class FoundRow:
     contact: bool
     saturated: bool
     degraded: bool
-    depth_mm: float  # greatest h; 0 without contact
+    depth_mm: float  # greatest h; 0 without contact, NaN if only `touched`
     volume_mm3: float
     tilt_x_deg: float  # of the normal of the largest object
     tilt_y_deg: float
     shear_x_mm: float  # mean over all contact cells
     shear_y_mm: float
+    touched: bool = False  # something touches, but its depth is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +61,14 @@ def found_row(image: str, result: Reconstruction) -> FoundRow:
         result.contact,
         result.saturated,
         result.degraded is not None,
-        result.depth_max_mm,
-        result.volume_mm3,
+        math.nan if result.touched else result.depth_max_mm,
+        math.nan if result.touched else result.volume_mm3,
         # A plane turned about x by an angle has the normal (0, -sin, cos); about y, (sin, 0, cos).
         math.degrees(math.atan2(-y, z)),
         math.degrees(math.atan2(x, z)),
         shear_x,
         shear_y,
+        result.touched,
     )
 
 
@@ -85,7 +87,10 @@ def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -
 COUNTS: dict[str, Callable[[Sequence[FoundRow]], str]] = {
     "frames": lambda some: str(len(some)),
     "refused": lambda some: str(sum(bool(row.refused) for row in some)),
-    "without contact": lambda some: str(sum(not row.refused and not row.contact for row in some)),
+    "without contact": lambda some: str(
+        sum(not (row.refused or row.contact or row.touched) for row in some)
+    ),
+    "touched, depth unknown": lambda some: str(sum(row.touched for row in some)),
     "saturated": lambda some: str(sum(row.saturated for row in some)),
     "degraded": lambda some: str(sum(row.degraded for row in some)),
 }

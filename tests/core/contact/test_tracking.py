@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.published_sensor import bump, unmeasured
 
-from tacshade_edge.core.contact.tracking import ContactTracker
+from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.types import Slip, TouchedObject
 
 FRAME_NS = 16_666_667
@@ -38,6 +40,15 @@ def test_an_object_keeps_its_number_while_it_touches_and_none_is_used_again() ->
     assert [t.id for t in followed(tracker, contact(-6), contact(6.5), frame=3)] == [3, 2]
     assert followed(tracker, frame=4) == ()
     assert [t.id for t in followed(tracker, contact(6.5), frame=5)] == [4]
+
+
+def test_a_frame_of_unknown_depth_neither_ends_nor_begins_an_object() -> None:
+    tracker = ContactTracker()
+    pressed = replace(bump(0, 2.0, 236, 328, 8), objects=(contact(5),))
+    lost = unmeasured(1)
+    assert [each.id for each in follow(tracker, pressed).objects] == [1]
+    assert follow(tracker, lost) is lost
+    assert [each.id for each in follow(tracker, pressed).objects] == [1]
 
 
 def parted(apart_mm: float, x_mm: float = 0.0) -> tuple[TouchedObject, TouchedObject]:

@@ -57,6 +57,10 @@ LONGEST = tuple(sorted(QUANTITIES, key=len)[-NAMES_MAX:])
             "frame=812 t_ns=9 contact=0 depth_mm=0.000 area_mm2=0.0 objects=0 pose=0",
         ),
         (
+            FrameCaptured(812, 9, False, None, None, 0, None, touched=True),
+            "frame=812 t_ns=9 contact=0 depth_mm=- area_mm2=- objects=0 pose=0 touched=1",
+        ),
+        (
             LineStatus("streaming", 30.0, "two-way", 500, 1.25, 100, 1, 2, 3),
             "camera=streaming fps=30.0 sync=two-way error_us=500 drift_ppm=1.25 poses=100 lost=1 damaged=2 garbage=3",
         ),
@@ -102,7 +106,11 @@ def test_a_port_that_was_opened() -> None:
 @pytest.mark.parametrize("vector", VECTORS["touches"], ids=lambda v: str(v["seq"]))
 def test_event(vector: dict[str, Any]) -> None:
     seen = TouchSeen(
-        vector["seq"], vector["t_ns"], vector["contact"], tuple(vector["values"].items())
+        vector["seq"],
+        vector["t_ns"],
+        vector["contact"],
+        tuple(vector["values"].items()),
+        vector.get("touched", False),
     )
     line = seal(f"EVT {seen.text()}")
     assert line.decode() == vector["line"] + "\n"
