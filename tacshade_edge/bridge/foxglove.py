@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import threading
 import time
@@ -143,10 +144,10 @@ class _Sensor:
         message: HeightMessage = OF_SENSORS["height"].decode("height", payload)
         if (info := self._info) is None:
             return
-        known = info.geometry
-        if known is not None and (message.height_mm > known.skin_radius_mm).any():
+        most_mm = math.inf if info.geometry is None else info.geometry.geometry.height_max_mm
+        if (message.height_mm > most_mm).any():
             raise DecodeError(
-                f"height: found more than a skin has, expected at most {known.skin_radius_mm:g} mm"
+                f"height: found more than a skin has, expected at most {most_mm:g} mm"
             )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)

@@ -206,7 +206,7 @@ class Reconstructor:
 
         # The map without contact, 0 or NaN, adds NaN outside the disc.
         height_mm = (
-            np.minimum(depth.height_mm, np.float32(self.calibration.geometry.skin_radius_mm))
+            np.minimum(depth.height_mm, np.float32(self.calibration.geometry.height_max_mm))
             + self._zero_mm
         )
         contact = contact_of(depth, self.rays.inside, self.profile.outline)

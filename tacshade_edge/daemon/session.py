@@ -122,7 +122,7 @@ class Session:
         if exists:
             raise DeviceError(f"{folder / name} already exists", code=ReasonCode.NAME_TAKEN)
         info = SessionInfo(
-            name, time.time_ns(), calibration.crc32, calibration.geometry.skin_radius_mm, sensor_id
+            name, time.time_ns(), calibration.crc32, calibration.geometry.apex_z_mm, sensor_id
         )
         return cls(StitchFile.create(folder / name, info), Stitcher(info.skin_radius_mm))
 

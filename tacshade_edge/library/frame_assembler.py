@@ -186,9 +186,9 @@ def _touched(
 ) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
     """The height map, its objects and their volume in mm³; contact and objects are those of the points."""
     height_mm, grid = message.height_mm, _grid(message)
-    if (height_mm > geometry.skin_radius_mm).any():
+    if (height_mm > geometry.height_max_mm).any():
         raise DecodeError(
-            f"height: found a height greater than the skin's radius, expected at most {geometry.skin_radius_mm:g} mm"
+            f"height: found more than a skin has, expected at most {geometry.height_max_mm:g} mm"
         )
     labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, geometry)
     labels[np.isnan(height_mm)] = 0

@@ -76,7 +76,11 @@ class Sensor:
     def __repr__(self) -> str:
         """The sensor in a line, for people."""
         rows, cols = self.image_size_px
-        return f"<Sensor of radius {self.geometry.skin_radius_mm:g} mm, {self.profile}, images of {cols}x{rows} px>"
+        known = self.geometry
+        form = f"of radius {known.skin_radius_mm:g} mm"
+        if known.skin == "pad":
+            form = f"with a pad of radius {known.visible_radius_mm:g} mm"
+        return f"<Sensor {form}, {self.profile}, images of {cols}x{rows} px>"
 
     def reconstruct(self, image: str | os.PathLike[str] | U8) -> Result:
         """Reconstruct a single image; an unusable image gives a result that is not `valid`.

@@ -171,6 +171,8 @@ def _geometry(calibration: Calibration) -> InfoGeometry:
     values = {
         name: getattr(source, name) for source in sources for name in names if hasattr(source, name)
     }
+    if calibration.geometry.skin == "pad":
+        values |= {"skin_radius_mm": None, "visible_half_angle_deg": None}
     return InfoGeometry(**values, calibration_crc32=calibration.crc32)
 
 

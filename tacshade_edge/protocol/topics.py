@@ -5,6 +5,7 @@ Daemons fill in these types, and subscribers decode them; anything that no daemo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, TypeVar, get_args
@@ -14,7 +15,7 @@ from msgspec import Meta
 from ..errors import DecodeError
 from ..quoting import quoted
 from ..rigid import from_seven
-from ..types import Disc, Geometry
+from ..types import Disc, Geometry, Skin
 from .codec import decode_json, decode_object
 from .wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
 
@@ -42,11 +43,13 @@ _SizePx = Annotated[int, Meta(ge=1, le=65535)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoGeometry:
-    """The geometry that converts pixels to mm."""
+    """The geometry that converts pixels to mm. A pad has neither `skin_radius_mm` nor `visible_half_angle_deg`."""
 
-    skin_radius_mm: Annotated[float, Meta(ge=0.1, le=1e4)]
-    camera_distance_mm: Annotated[float, Meta(ge=1e-6, le=1e5)] | None
-    visible_half_angle_deg: Annotated[float, Meta(ge=1e-3, le=90)]
+    skin: Skin = "dome"
+    skin_radius_mm: Annotated[float, Meta(ge=0.1, le=1e4)] | None
+    camera_distance_mm: Annotated[float, Meta(ge=-1e4, le=1e5)] | None
+    visible_half_angle_deg: Annotated[float, Meta(ge=1e-3, le=90)] | None
+    visible_radius_mm: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
     f_px: float | None = None
     mm_per_px: float | None = None
     row_c: _Px
@@ -59,14 +62,21 @@ class InfoGeometry:
 
     def __post_init__(self) -> None:
         from_seven(self.flange_T_sensor)
+        d, geometry = self.camera_distance_mm, self.geometry
+        if d is not None and not geometry.f_px > 0:
+            raise ValueError(f"found a camera distance of {d} mm, expected one behind the skin")
 
     @property
     def geometry(self) -> Geometry:
         """Skin, camera and disc."""
-        disc = Disc(self.row_c, self.col_c, self.radius_px)
-        return Geometry(
-            self.skin_radius_mm, self.camera_distance_mm, self.visible_half_angle_deg, disc
-        )
+        disc, d = Disc(self.row_c, self.col_c, self.radius_px), self.camera_distance_mm
+        if self.skin == "pad":
+            if self.visible_radius_mm is None:
+                raise ValueError("found no visible_radius_mm, expected that of a pad")
+            return Geometry(math.inf, d, 0.0, disc, self.visible_radius_mm)
+        if self.skin_radius_mm is None or self.visible_half_angle_deg is None:
+            raise ValueError("found no skin_radius_mm or visible_half_angle_deg, expected a dome's")
+        return Geometry(self.skin_radius_mm, d, self.visible_half_angle_deg, disc)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,6 +23,7 @@ from tacshade_edge.types.geometry import (
     Frame,
     Geometry,
     Pose,
+    Skin,
     freeze,
     frozen,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "Frame",
     "Geometry",
     "Pose",
+    "Skin",
 ]
 __all__ += [
     "Binarisation",

@@ -5,8 +5,9 @@ A number's bounds stand with its field; they hold for a calibration that is made
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
@@ -29,8 +30,9 @@ Coordinate = Annotated[float, Meta(gt=-_MOST, lt=_MOST)]
 _GEOMETRY: dict[type, dict[str, Any]] = {
     Geometry: {
         "skin_radius_mm": Size,
-        "camera_distance_mm": Positive | None,
+        "camera_distance_mm": Coordinate | None,
         "visible_half_angle_deg": Annotated[float, Meta(gt=_LEAST, le=90)],
+        "pad_radius_mm": Size | None,
     },
     Disc: {"row_c": Coordinate, "col_c": Coordinate, "radius_px": Size},
 }
@@ -213,13 +215,27 @@ class Calibration:
 
     def __post_init__(self) -> None:
         freeze(self, "reference_white", "reference_grey")
-        for record in (self, self.geometry, self.geometry.disc):
+        for record in (self, self.geometry.disc):
             require_bounds(record)
+        _require_geometry(self.geometry)
 
     def error_scale(self, profile: str) -> float | None:
         """Factor on σ of the network that the profile runs, fitted or shipped; None if no presses have shown it."""
         fitted = self.fitted.get(profile)
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
+
+
+def _require_geometry(geometry: Geometry) -> None:
+    """Raise ValueError for a geometry that no sensor has; only a pad's radius is infinite."""
+    if geometry.skin == "pad":
+        flat = (geometry.skin_radius_mm, geometry.visible_half_angle_deg) == (math.inf, 0.0)
+        if not flat:
+            raise ValueError("skin_radius_mm and visible_half_angle_deg are not a pad's")
+        geometry = replace(geometry, skin_radius_mm=1.0, visible_half_angle_deg=1.0)
+    require_bounds(geometry)
+    if geometry.camera_distance_mm is not None and not geometry.f_px > 0:
+        text = f"camera_distance_mm is {geometry.camera_distance_mm}"
+        raise ValueError(f"{text}, a lens in front of the visible circle")
 
 
 def require_bounds(record: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar, dataclass_transform
+from typing import Literal, TypeVar, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
@@ -84,23 +84,64 @@ class Disc:
     radius_px: float
 
 
+Skin = Literal["dome", "pad"]
+# The half angle of a dome that shows as much as a pad does, degrees; below that of any dome that networks learnt from.
+_LEAST_HALF_ANGLE_DEG = 40.0
+
+
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Skin, camera and visible circle. `skin_radius_mm` is r of the undeformed skin, centred at O; `camera_distance_mm`
+    """Skin, camera and visible circle. `skin_radius_mm` is r of the undeformed dome, centred at O; `camera_distance_mm`
     d, for a lens at (0, 0, -d) (None: the paper's orthographic camera); `visible_half_angle_deg` θ of the visible
-    circle, at O from +z.
+    circle, at O from +z. A pad is flat (r infinite, θ = 0): its skin at rest is the plane z = 0, O is the middle of its
+    visible circle, and `pad_radius_mm` the circle's radius.
     """
 
     skin_radius_mm: float
     camera_distance_mm: float | None
     visible_half_angle_deg: float
     disc: Disc
+    pad_radius_mm: float | None = None
+
+    @property
+    def skin(self) -> Skin:
+        """The form of the undeformed skin."""
+        return "dome" if self.pad_radius_mm is None else "pad"
+
+    @property
+    def visible_radius_mm(self) -> float:
+        """Radius of the visible circle on the undeformed skin, in a plane across the axis (a dome's: r sinθ)."""
+        if self.pad_radius_mm is not None:
+            return self.pad_radius_mm
+        return self.skin_radius_mm * math.sin(math.radians(self.visible_half_angle_deg))
+
+    @property
+    def size_mm(self) -> float:
+        """The length with which sizes of presses and tolerances scale: a dome's radius; for a skin that is flat, or
+        flatter than the networks know, the radius of a dome with the same visible circle.
+        """
+        least = math.sin(math.radians(_LEAST_HALF_ANGLE_DEG))
+        return min(self.skin_radius_mm, self.visible_radius_mm / least)
+
+    @property
+    def apex_z_mm(self) -> float:
+        """The z of the middle of the undeformed skin: r for a dome, 0 for a pad."""
+        return self.skin_radius_mm if self.pad_radius_mm is None else 0.0
+
+    @property
+    def height_max_mm(self) -> float:
+        """The greatest h that a skin can have: a dome's reaches O, a pad's the lens, or its size without one."""
+        if self.pad_radius_mm is None:
+            return self.skin_radius_mm
+        return self.camera_distance_mm or self.size_mm
 
     @property
     def f_px(self) -> float:
         """Focal length of the pinhole in px; 0 for the orthographic camera."""
         if self.camera_distance_mm is None:
             return 0.0
+        if self.pad_radius_mm is not None:
+            return self.disc.radius_px * self.camera_distance_mm / self.pad_radius_mm
         theta = math.radians(self.visible_half_angle_deg)
         r = self.skin_radius_mm
         return (
@@ -111,6 +152,5 @@ class Geometry:
 
     @property
     def mm_per_px(self) -> float:
-        """Size of a pixel in the plane of the visible circle (r sinθ / R_px)."""
-        theta = math.radians(self.visible_half_angle_deg)
-        return self.skin_radius_mm * math.sin(theta) / self.disc.radius_px
+        """Size of a pixel in the plane of the visible circle (a dome's: r sinθ / R_px)."""
+        return self.visible_radius_mm / self.disc.radius_px

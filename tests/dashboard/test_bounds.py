@@ -132,10 +132,24 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
         ),
         (
             "checkInfo",
-            [(info(),), (info(camera_distance_mm=None, f_px=None),), ({"geometry": None},), ({},)],
+            [
+                (info(),),
+                (info(camera_distance_mm=None, f_px=None),),
+                ({"geometry": None},),
+                ({},),
+                (
+                    info(
+                        skin="pad",
+                        visible_radius_mm=15,
+                        skin_radius_mm=None,
+                        visible_half_angle_deg=None,
+                    ),
+                ),
+            ],
             [
                 *((info(radius_px=value),) for value in (0, 1e308, "x", None)),
-                *((info(skin_radius_mm=value),) for value in (0, 1e308)),
+                *((info(skin_radius_mm=value),) for value in (0, 1e308, None)),
+                *((info(skin="pad", visible_radius_mm=value),) for value in (0, None, "x")),
                 (info(image_height_px=1e9),),
                 (info(f_px=0),),
                 ({"profiles": 5},),

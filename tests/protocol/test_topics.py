@@ -181,6 +181,24 @@ def test_info_places_a_pixel_in_mm() -> None:
     assert geometry["flange_T_sensor"] == [0, 0, 0, 1, 0, 0, 0]
 
 
+@pytest.mark.parametrize("distance_mm", [None, 27.0])
+def test_info_of_a_pad_has_no_radius_and_no_angle(distance_mm: float | None) -> None:
+    flat = Geometry(math.inf, distance_mm, 0.0, Disc(239.5, 319.5, 200.0), 15.0)
+    payload = messages.encode_info(
+        profile="fast", calibration=replace(calibration(), geometry=flat)
+    )
+    said = json.loads(payload)["geometry"]
+    assert (said["skin"], said["visible_radius_mm"], said["mm_per_px"]) == ("pad", 15.0, 0.075)
+    assert (said["skin_radius_mm"], said["visible_half_angle_deg"]) == (None, None)
+    info = topics.decode_info(payload)
+    assert info.geometry is not None
+    assert info.geometry.geometry == flat
+    for changes in ({"skin": "dome"}, {"visible_radius_mm": None}, {"visible_radius_mm": -1}):
+        wrong = json.dumps({**INFO, "geometry": {**said, **changes}}).encode()
+        with pytest.raises(DecodeError):
+            topics.decode_info(wrong)
+
+
 def test_status_and_health() -> None:
     absent = Reason(ReasonCode.ABSENT, "no such device")
     status = messages.encode_status(

@@ -13,6 +13,7 @@ from .geometry import (
     Frame,
     Geometry,
     Pose,
+    Skin,
     freeze,
     frozen,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "Frame",
     "Geometry",
     "Pose",
+    "Skin",
     "freeze",
     "frozen",
 ]

@@ -83,12 +83,12 @@ def run(args: argparse.Namespace) -> int:
     calibration = calibrations.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
-    radius_mm = calibration.geometry.skin_radius_mm
+    apex_mm = calibration.geometry.apex_z_mm
     if args.find_flange and args.recording is not None:
         found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
         for reason in unread:
             warn(f"{args.recording}: {reason.text}")
-        report_flange(found, start, radius_mm, args.out, where, as_json=args.json)
+        report_flange(found, start, apex_mm, args.out, where, as_json=args.json)
         return 1 if unread else 0
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
@@ -101,10 +101,10 @@ def run(args: argparse.Namespace) -> int:
         warn(f"{press.where}: {press.skipped}")
     if args.find_flange:
         report_flange(
-            frames_of_presses(presses, start), start, radius_mm, args.out, where, as_json=args.json
+            frames_of_presses(presses, start), start, apex_mm, args.out, where, as_json=args.json
         )
         return 1 if failed else 0
-    stitcher = stitcher_of(presses, radius_mm)
+    stitcher = stitcher_of(presses, apex_mm)
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
         raise ConfigError(f"{where}: found no usable press: {why}")
@@ -167,7 +167,7 @@ def _line(s: dict[str, Any]) -> str:
 def report_flange(
     frames: Sequence[ContactFrame],
     start: Rigid,
-    skin_radius_mm: float,
+    apex_mm: float,
     out: Path,
     where: str,
     *,
@@ -179,7 +179,7 @@ def report_flange(
         expected = f"expected at least {PRESSES_MIN} presses {_PLAN}"
         raise ConfigError(f"{where}: found {presses} presses with a pose, {expected}")
     try:
-        found = find_flange(frames, start, skin_radius_mm)
+        found = find_flange(frames, start, apex_mm)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     if why := unseen(found):

@@ -8,7 +8,6 @@ caller chooses how to run them (`inference.network` uses ONNX Runtime).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import cast
 
@@ -31,8 +30,7 @@ DEEPEST_RADII = 0.31
 
 def scale_mm(geometry: Geometry) -> np.float32:
     """The factor from the networks' lengths to mm."""
-    unit_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
-    return np.float32(unit_mm / HEIGHT_SCALE)
+    return np.float32(geometry.visible_radius_mm / HEIGHT_SCALE)
 
 
 def known_maps(geometry: Geometry, pitch_px: float, reference_white: F32, by: int) -> F32:
@@ -140,7 +138,7 @@ class LearnedSolver:
         self._latest: tuple[Preprocessed, F32] | None = (
             None  # and its white: depth and shear may see the same
         )
-        self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.skin_radius_mm)
+        self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.size_mm)
 
     def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
         """The network's result for an image without the refit, for calibration."""

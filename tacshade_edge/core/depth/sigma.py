@@ -65,7 +65,7 @@ def terms(
         cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE).take(at)
         for order in ((1, 0), (0, 1))
     )
-    disc_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    disc_mm = geometry.visible_radius_mm
     cell_mm = 2 * disc_map.REACH * disc_mm / cells
     row, col = divmod(at, near.shape[1])
     each = cells // len(untrusted_logit)

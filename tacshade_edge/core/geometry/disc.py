@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ...types import F32, U16, Bool, Disc, Geometry, frozen
+from ...types import F32, F64, U16, Bool, Disc, Geometry, frozen
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -129,8 +129,10 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
     """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN stays NaN. Eq. 2 for an
     orthographic camera; a pinhole's ray meets the sphere of radius r - h twice, and the skin is the farther root. A
-    height that its ray cannot reach gives the ray's point nearest to the sphere.
+    height that its ray cannot reach gives the ray's point nearest to the sphere. A pad's skin is the plane z = -h.
     """
+    if geometry.skin == "pad":
+        return _pad_planes(height_mm, rays, geometry)
     rho = np.float32(geometry.skin_radius_mm) - height_mm
     u, v = rays.u, rays.v
     planes = np.empty((3, *rho.shape), np.float32)
@@ -149,6 +151,20 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
         np.multiply(s, u, out=x)
         np.multiply(s, v, out=y)
     return planes
+
+
+def _pad_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
+    """`skin_planes` of a pad; a height beyond the lens gives the lens."""
+    d = geometry.camera_distance_mm
+    s = height_mm * 0 + np.float32(1) if d is None else np.maximum(np.float32(d) - height_mm, 0)
+    return np.stack((s * rays.u, s * rays.v, -height_mm))
+
+
+def point_heights(points_mm: F64, geometry: Geometry) -> F64:
+    """Height h (N,) of points (N, 3) on the skin, mm; negative outside the undeformed skin."""
+    if geometry.skin == "pad":
+        return np.asarray(-points_mm[:, 2])
+    return np.asarray(geometry.skin_radius_mm - np.linalg.norm(points_mm, axis=1))
 
 
 def labels_by_cell(points_mm: F32, labels: U16, grid: Grid, geometry: Geometry) -> U16:

@@ -33,7 +33,10 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
     x, y = np.meshgrid(axis, axis)
     rho2 = np.minimum(x * x + y * y, 1.0)
     sin_half = np.sin(np.radians(geometry.visible_half_angle_deg))
-    if geometry.camera_distance_mm is None:
+    if geometry.skin == "pad":
+        gain = np.full_like(x, geometry.visible_radius_mm / (geometry.camera_distance_mm or np.inf))
+        cosine = 1 / np.sqrt(1 + rho2 * gain * gain)
+    elif geometry.camera_distance_mm is None:
         gain = np.zeros_like(x)
         cosine = np.sqrt(1 - rho2 * sin_half**2)
     else:
@@ -58,4 +61,4 @@ def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
 
 def skin_scale(geometry: Geometry) -> float:
     """The factor for a length stated for a skin of radius 20 mm (squared: for an area)."""
-    return geometry.skin_radius_mm / 20
+    return geometry.size_mm / 20

@@ -79,11 +79,11 @@ class FoundFlange:
     left_mm: float
 
 
-def find_flange(frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> FoundFlange:
+def find_flange(frames: Sequence[ContactFrame], start: Rigid, apex_mm: float) -> FoundFlange:
     """Find the sensor's pose on the flange, within 10 mm and 10 degrees of the start, and the delay. What the presses
     do not show keeps the start's standard deviation. Raises ConfigError if presses face in opposite directions.
     """
-    problem = _Problem(frames, start, skin_radius_mm)
+    problem = _Problem(frames, start, apex_mm)
     x = np.zeros(len(problem.sigmas))
     for level, joint in (*((level, False) for level in _COARSE_MM), (_FINE_MM, True)):
         for _ in range(_ITERATIONS_MAX):
@@ -104,10 +104,10 @@ class _Problem:
     is only considered. The upward direction is against the sensor's mean axis at the start.
     """
 
-    def __init__(self, frames: Sequence[ContactFrame], start: Rigid, skin_radius_mm: float) -> None:
+    def __init__(self, frames: Sequence[ContactFrame], start: Rigid, apex_mm: float) -> None:
         self._frames, self._start = frames, start
         self._presses = 1 + max(frame.press for frame in frames)
-        self._apex = np.array((0.0, 0.0, skin_radius_mm))
+        self._apex = np.array((0.0, 0.0, apex_mm))
         self._frame_of: I64 = np.repeat(
             np.arange(len(frames)), [len(frame.points) for frame in frames]
         )

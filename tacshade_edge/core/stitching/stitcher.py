@@ -224,7 +224,9 @@ class _Press:
 
 
 class Stitcher:
-    """Collects presses; the map so far is there any time, the refined one at the end. `apex_mm`: the skin's radius."""
+    """Collects presses; the map so far is there any time, the refined one at the end. `apex_mm`: z of the undeformed
+    skin's middle.
+    """
 
     def __init__(self, apex_mm: float) -> None:
         self._apex = np.array((0.0, 0.0, apex_mm))

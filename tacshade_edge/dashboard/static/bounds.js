@@ -10,10 +10,11 @@ const OBJECT = /^[A-Za-z0-9_.-]{1,64}$/;
 const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps", "touched"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
 const GEOMETRY = { // minimum and maximum; a camera without a distance is orthographic
-  skin_radius_mm: [0.1, 1000], visible_half_angle_deg: [1, 90], mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
+  mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
   row_c: [-AWAY_MAX_PX, AWAY_MAX_PX], col_c: [-AWAY_MAX_PX, AWAY_MAX_PX], image_height_px: [1, SIDE_MAX], image_width_px: [1, SIDE_MAX],
 };
-const OF_A_PINHOLE = { camera_distance_mm: [0, 1e6], f_px: [1e-3, 1e6] };
+const OF_A_DOME = { skin_radius_mm: [0.1, 1e4], visible_half_angle_deg: [1e-3, 90] }, OF_A_PAD = { visible_radius_mm: [1e-3, 1e4] };
+const OF_A_PINHOLE = { camera_distance_mm: [-1e4, 1e6], f_px: [1e-3, 1e6] };
 
 /** The text, cut to at most `most` characters. */
 export function cut(text, most = TEXT_MAX) {
@@ -58,6 +59,7 @@ export function checkInfo(info) {
   if (!Array.isArray(profiles) || ![profile, ...profiles].every((name) => name === undefined || typeof name === "string")) throw new Error("not profiles");
   if (geometry === null || geometry === undefined) return { ...info, geometry: geometry ?? null };
   within(geometry, GEOMETRY);
+  within(geometry, geometry.skin === "pad" ? OF_A_PAD : OF_A_DOME);
   if (geometry.camera_distance_mm !== null) within(geometry, OF_A_PINHOLE);
   const place = info.hand_T_sensor;
   if (place !== null && place !== undefined && !(Array.isArray(place) && place.length === 7 && place.every(Number.isFinite))) throw new Error("not a place in a hand");

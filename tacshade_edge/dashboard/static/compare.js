@@ -1,7 +1,7 @@
 // Compare the chosen sensor with another one or with a held moment of its own: both maps on one scale, and their difference.
 
 import { DIFFERENCES, PIXELS, STEPS, stepOf } from "./colours.js";
-import { heightAt } from "./geometry.js";
+import { heightAt, rimOf } from "./geometry.js";
 import { checkContact, checkPart } from "./bounds.js";
 import { contactOfMap, keepContact, nextMap } from "./newest.js";
 import { number, table } from "./panels.js";
@@ -183,5 +183,5 @@ const emptyView = () => ({ height: null, contact: null, contacts: new Map(), num
 function isSame(a, b) {
   if (!a || !b) return false;
   const near = (key, most) => Math.abs(a[key] - b[key]) <= most;
-  return near("image_height_px", 0) && near("image_width_px", 0) && near("row_c", SAME_PX) && near("col_c", SAME_PX) && near("radius_px", SAME_PX) && near("skin_radius_mm", SAME_MM);
+  return near("image_height_px", 0) && near("image_width_px", 0) && near("row_c", SAME_PX) && near("col_c", SAME_PX) && near("radius_px", SAME_PX) && near("skin_radius_mm", SAME_MM) && Math.abs(rimOf(a).rim - rimOf(b).rim) <= SAME_MM;
 }

@@ -2,23 +2,31 @@
 
 /**
  * Write the point where a pixel's ray meets the deformed skin, in mm in the sensor frame, into out[at .. at + 2]:
- * Eq. 2 for an orthographic camera; for a pinhole, the farther intersection with the sphere of radius r - h.
+ * Eq. 2 for an orthographic camera; for a pinhole, the farther intersection with the sphere of radius r - h. A pad's
+ * skin is the plane z = -h.
  */
 export function skinPoint(geometry, row, col, height_mm, out, at) {
-  const rho = geometry.skin_radius_mm - height_mm, d = geometry.camera_distance_mm;
+  const rho = geometry.skin_radius_mm - height_mm, d = geometry.camera_distance_mm, isPad = geometry.skin === "pad";
   if (d === null) {
     const x = (col - geometry.col_c) * geometry.mm_per_px, y = (row - geometry.row_c) * geometry.mm_per_px;
     out[at] = x;
     out[at + 1] = y;
-    out[at + 2] = Math.sqrt(Math.max(rho * rho - x * x - y * y, 0));
+    out[at + 2] = isPad ? -height_mm : Math.sqrt(Math.max(rho * rho - x * x - y * y, 0));
     return;
   }
   const u = (col - geometry.col_c) / geometry.f_px, v = (row - geometry.row_c) / geometry.f_px;
   const k = 1 + u * u + v * v;
-  const s = (d + Math.sqrt(Math.max(d * d - k * (d * d - rho * rho), 0))) / k;
+  const s = isPad ? d - height_mm : (d + Math.sqrt(Math.max(d * d - k * (d * d - rho * rho), 0))) / k;
   out[at] = s * u;
   out[at + 1] = s * v;
   out[at + 2] = s - d;
+}
+
+/** Radius in mm and z of the visible circle on the undeformed skin. */
+export function rimOf(geometry) {
+  if (geometry.skin === "pad") return { rim: geometry.visible_radius_mm, foot: 0 };
+  const theta = (geometry.visible_half_angle_deg * Math.PI) / 180, r = geometry.skin_radius_mm;
+  return { rim: r * Math.sin(theta), foot: r * Math.cos(theta) };
 }
 
 /** A height map without contact, for a sensor that has not been touched since this page opened. */

@@ -156,7 +156,7 @@ export class Whole {
   drawPlane(objects) {
     const skins = [...this.fingers.keys()].flatMap((name) => {
       const { hand_T_sensor, geometry } = this.infos(name) ?? {};
-      return hand_T_sensor ? [{ name, at: hand_T_sensor.slice(0, 3), radius_mm: geometry?.skin_radius_mm ?? 0 }] : [];
+      return hand_T_sensor ? [{ name, at: hand_T_sensor.slice(0, 3), radius_mm: geometry?.skin_radius_mm ?? geometry?.visible_radius_mm ?? 0 }] : [];
     });
     if (skins.length === 0) return;
     const spread = AXES.map((_, k) => Math.max(...skins.map(({ at }) => at[k])) - Math.min(...skins.map(({ at }) => at[k])));

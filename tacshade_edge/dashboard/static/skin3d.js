@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 import { VIRIDIS, objectColour, stepOf } from "./colours.js";
-import { heightAt, skinPoint } from "./geometry.js";
+import { heightAt, rimOf, skinPoint } from "./geometry.js";
 
 // The surface: rings around the centre of the disc, so that its edge is the skin's and its cost does not depend on the map.
 const RINGS = 64, SPOKES = 144, VERTICES = 1 + RINGS * SPOKES;
@@ -121,12 +121,11 @@ export class SkinView {
   /** Set the rim, the axes and the eye for a sensor. */
   place(geometry) {
     this.geometry = geometry;
-    const theta = (geometry.visible_half_angle_deg * Math.PI) / 180, r = geometry.skin_radius_mm;
+    const { rim, foot } = rimOf(geometry);
     const ring = Array.from({ length: 96 }, (_, k) => (2 * Math.PI * k) / 96);
-    this.rim.geometry.setFromPoints(ring.map((a) => new THREE.Vector3(r * Math.sin(theta) * Math.cos(a), r * Math.sin(theta) * Math.sin(a), r * Math.cos(theta))));
-    const rim = r * Math.sin(theta);
+    this.rim.geometry.setFromPoints(ring.map((a) => new THREE.Vector3(rim * Math.cos(a), rim * Math.sin(a), foot)));
     this.axes.scale.setScalar(0.3 * rim);
-    this.axes.position.set(-0.85 * rim, -0.85 * rim, r * Math.cos(theta));
+    this.axes.position.set(-0.85 * rim, -0.85 * rim, foot);
     this.rim.visible = this.axes.visible = true;
     this.look();
   }
@@ -134,8 +133,7 @@ export class SkinView {
   look() {
     if (!this.geometry) return;
     this.untouched = true;
-    const r = this.geometry.skin_radius_mm, theta = (this.geometry.visible_half_angle_deg * Math.PI) / 180;
-    const foot = r * Math.cos(theta), rim = r * Math.sin(theta), far = (3.1 * rim) / Math.min(1, this.camera.aspect);
+    const { rim, foot } = rimOf(this.geometry), far = (3.1 * rim) / Math.min(1, this.camera.aspect);
     this.controls.target.set(0, -0.12 * rim, foot);
     this.camera.position.set(0.2 * far, -0.7 * far, foot + 0.68 * far);
     this.controls.update();

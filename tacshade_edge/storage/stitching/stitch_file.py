@@ -48,13 +48,14 @@ _Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The content of ``session.json``; `crc32`, in the file only, is that of the other fields as compact JSON.
-    `sensor_id` is empty in version 1; the calibration is the one with which the session began.
+    `sensor_id` is empty in version 1; the calibration is the one with which the session began;
+    `skin_radius_mm` is 0 for a pad.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=64)]
     begun_wall_ns: Annotated[int, Meta(ge=0)]
     calibration_crc32: _Crc32
-    skin_radius_mm: Annotated[float, Meta(gt=0, lt=_MOST_MM)]
+    skin_radius_mm: Annotated[float, Meta(ge=0, lt=_MOST_MM)]
     sensor_id: str = ""
     state: Literal["open", "ended"] = "open"
     version: int = VERSION

@@ -18,7 +18,7 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.npz import Content
-from tacshade_edge.types import Calibration, Fit, FittedNetwork, ProfileFit, TouchModel
+from tacshade_edge.types import Calibration, Fit, FittedNetwork, Geometry, ProfileFit, TouchModel
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
@@ -159,6 +159,35 @@ def test_a_number_more_is_a_field_and_nothing_else(
     )
     with pytest.raises(ConfigError, match="warmth"):
         calibration_file.load(tmp_path / "c.npz")
+
+
+def test_a_pad_is_stored_and_a_dome_keeps_its_checksum(tmp_path: Path) -> None:
+    dome = painted_calibration()
+    flat = replace(dome, geometry=Geometry(math.inf, 27.0, 0.0, dome.geometry.disc, 15.0))
+    saved = calibration_file.save(tmp_path / "pad.npz", flat)
+    loaded = calibration_file.load(tmp_path / "pad.npz")
+    assert (loaded.geometry, loaded.crc32) == (flat.geometry, saved.crc32)
+    calibration_file.save(tmp_path / "dome.npz", dome)
+    assert "pad_radius_mm" not in npz.read(str(tmp_path / "dome.npz"), "", "").meta
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"pad_radius_mm": None}, "skin_radius_mm"),
+        ({"skin_radius_mm": 20.0}, "not a pad's"),
+        ({"visible_half_angle_deg": 50.0}, "not a pad's"),
+        ({"pad_radius_mm": 0.0}, "pad_radius_mm"),
+        ({"pad_radius_mm": math.nan}, "pad_radius_mm"),
+        ({"camera_distance_mm": -1.0}, "camera_distance_mm"),
+        ({"camera_distance_mm": math.inf}, "camera_distance_mm"),
+    ],
+)
+def test_a_pad_that_no_sensor_has_is_refused(changes: dict[str, Any], said: str) -> None:
+    dome = painted_calibration()
+    flat = Geometry(math.inf, 27.0, 0.0, dome.geometry.disc, 15.0)
+    with pytest.raises(ValueError, match=said):
+        replace(dome, geometry=replace(flat, **changes))
 
 
 _POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]

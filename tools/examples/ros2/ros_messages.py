@@ -108,14 +108,15 @@ def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str
     """Make a ``geometry_msgs/PoseStamped`` of the touched surface from depth, tilt and twist; None if unknown.
 
     The surface lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z, then tilted about x,
-    then y. Twist, x and y are 0 if the labels lack them.
+    then y. Twist, x and y are 0 if the labels lack them. The radius of a pad is infinite.
     """
     names = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "twist_deg", "x_mm", "y_mm")
     if (values := _known(touch, names, needed=names[:3])) is None:
         return None
     depth, x, y = values[0], values[4], values[5]
     tilt_x, tilt_y, twist = (math.radians(angle) for angle in values[1:4])
-    z = math.sqrt(max(0.0, skin_radius_mm**2 - x**2 - y**2)) - depth
+    beside = max(0.0, skin_radius_mm**2 - x**2 - y**2)
+    z = (0.0 if math.isinf(skin_radius_mm) else math.sqrt(beside)) - depth
     *place, qw, qx, qy, qz = (
         shift(x, y, z) @ turn((0, tilt_y, 0)) @ turn((tilt_x, 0, 0)) @ turn((0, 0, twist))
     ).seven()

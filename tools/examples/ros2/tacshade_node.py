@@ -75,7 +75,7 @@ def main() -> None:
         nonlocal skin_radius_mm
         match message.value:
             case Info(geometry=geometry) if geometry is not None:
-                skin_radius_mm = geometry.skin_radius_mm
+                skin_radius_mm = geometry.geometry.skin_radius_mm
                 placed = (
                     geometry.flange_T_sensor,
                     time.time_ns(),
