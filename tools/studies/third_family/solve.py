@@ -40,6 +40,7 @@ from tools.studies.third_family.domes import (
     known_ways,
     ways,
 )
+from tools.studies.third_family.judging import BALL, DRAGGED, ball_ways, dragged_ways
 from tools.studies.third_family.table_i import TABLE_I_SOLIDS, WHAT, table_i_ways
 
 EDGE_MM = 1.3
@@ -275,9 +276,11 @@ def jobs(options: argparse.Namespace) -> Iterator[tuple[Path, Dome, Way]]:
         _, dome = drawn(options.range, sensor)
         seed = FIRST_SEED[options.range] + sensor
         wanted = {
+            DRAGGED: dragged_ways(dome, seed) if options.dragged else [],
             "": ways(dome, seed, options.ways),
             "press": known_ways(dome, seed, options.presses),
             WHAT: table_i_ways(dome) if options.table_i else [],
+            BALL: ball_ways(dome, seed, options.balls),
         }
         for what, paths in wanted.items():
             for k, way in enumerate(paths):
@@ -303,6 +306,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--table-i", action="store_true", help="Table I's objects as well (tools.studies.paper)"
     )
+    parser.add_argument(
+        "--dragged",
+        action="store_true",
+        help="Table I's objects, dragged (tools.studies.strangers)",
+    )
+    parser.add_argument("--balls", type=int, default=0, help="of those presses (none)")
     options = parser.parse_args(arguments)
     options.states.mkdir(parents=True, exist_ok=True)
     for path, dome, way in jobs(options):
