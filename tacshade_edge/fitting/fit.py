@@ -19,100 +19,23 @@ import cv2
 import numpy as np
 import torch
 
-from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.refit import error_scale, errors_in_sigma, placed_press
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import LearnedSolver
-from tacshade_edge.core.geometry.disc_map import rays_in_image
-from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES, Profile
+from tacshade_edge.core.profiles import DEFAULT, LADDER
 from tacshade_edge.fitting import training
+from tacshade_edge.fitting.explained import LEAST_TOUCHES, LIKELY, Choice, chosen_prints
 from tacshade_edge.fitting.identify import MERGED, identify
+from tacshade_edge.fitting.judge import NetworkReport, judged, skin_radii
 from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import (
     LEAST_PRESSES,
-    Frames,
     Mechanics,
     Steps,
     likely_mechanics,
     simulate,
 )
-from tacshade_edge.inference.network import load_network, shipped_layout
-from tacshade_edge.types import F32, Calibration, FittedNetwork
-
-
-@dataclass(frozen=True, slots=True)
-class OnPresses:
-    """A network's errors on presses. `errors_mm`: mean error of h for each indenter, at the cells where its surface is
-    known; empty if no contact is found. `presses`: presses whose contact the network finds. `factor`: on h; other than
-    1 if every indenter's error, with the factor that the others show, is less in the mean: `errors_mm` are then these.
-    `error_scale`: factor on σ; None without presses or a model of the network's errors.
-    """
-
-    errors_mm: dict[str, float]
-    presses: int
-    factor: float
-    error_scale: float | None
-
-    @property
-    def mean_mm(self) -> float:
-        """Mean over the indenters, each with the same weight."""
-        return float(np.mean(list(self.errors_mm.values())))
-
-
-def on_presses(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress],
-    factor: float | None = None,
-) -> OnPresses:  # fmt: skip
-    """Measure a network on presses, with the factor on h that it has, or with one that they show."""
-    geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
-    solver = LearnedSolver(preprocessor, network)
-    inside = rays_in_image(solver.grid, calibration).inside
-    seen = []
-    for press in presses:
-        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        at = placed_press(geometry, inverse, press)
-        if at is None or (row := refit.press_factor(inverse, geometry, at)) is None:
-            continue
-        truth, use = refit.known_cells(inverse, geometry, at)
-        use &= inside
-        if np.count_nonzero(use) < refit.LEAST_CELLS:
-            continue
-        height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(
-            np.float32
-        )
-        name = press.indenter.name if press.indenter else f"ball of radius {press.radius_mm:g} mm"
-        seen.append((name, row, inverse, height, truth, use))
-    names = dict.fromkeys(name for name, *_ in seen)
-
-    def errors(factors: Mapping[str, float]) -> dict[str, float]:
-        off: dict[str, list[float]] = {name: [] for name in names}
-        for name, _, _, height, truth, use in seen:
-            off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
-        return {name: float(np.mean(each)) for name, each in off.items()}
-
-    factors = {
-        name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0
-        for name in names
-    }
-    plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
-    gains = factor is not None or sum(scaled.values()) < sum(plain.values())
-    in_sigma = [
-        errors_in_sigma(
-            network.sigma, np.float32(factors[name] if gains else 1) * height, truth, inverse.contact_logit,
-            inverse.untrusted_logit, use, geometry,
-        )
-        for name, _, inverse, height, truth, use in seen
-        if network.sigma is not None
-    ]  # fmt: skip
-    return OnPresses(
-        scaled if gains else plain,
-        len(seen),
-        (factor or refit.fit_factor([row for _, row, *_ in seen]) or 1.0) if gains else 1.0,
-        error_scale(network.sigma, in_sigma) if network.sigma is not None and in_sigma else None,
-    )
+from tacshade_edge.inference.network import shipped_layout
+from tacshade_edge.types import F32, U8, Calibration, FittedNetwork
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,25 +50,18 @@ class Effort:
 
 
 FULL = Effort(batches=52, held_out=4, skins=13, views=2, steps=1500)
-MOST_UNEXPLAINED = 0.75
-"""Greatest part of the reference's pattern (RMS) that a print may leave unexplained."""
 UNEXPLAINED_ALONE = 0.45
-"""The same without presses, which would show whether the networks of a wrong print are worse."""
+"""Greatest part of the reference's pattern (RMS) that a print may leave unexplained without touches or presses, which
+would show whether the networks of a wrong print are worse."""
+MOST_LEFT = 0.9
+"""Greatest part of the touches' changes that the best print may leave unexplained: no print moves like those pins."""
 CONTRADICTED = 1.2
 """Stated sizes are wrong if they leave more than this many times as much unexplained as those found without them: pins
 stated a fifth too long or too short leave 1.4 and 1.6 times as much, exact ones 1.0."""
-PARTS = (0.25, 0.5, 0.75, 1.0)
-"""Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
-what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
-"""
-PART_ALONE = {"accurate": 0.25, "balanced": 0.5, "fast": 0.5}
-"""The part without presses that judge: less for networks that know other skins better."""
-CLEARLY, TOLERATED = 0.95, 1.1
-"""How much better than `PART_ALONE` another part is on presses that is taken instead, and how much worse than the
-shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged."""
-LIKELY = 1.02
-"""A kind of print that leaves at most this many times the best one's part unexplained belongs to the cloud. Kinds that
-leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
+MORE_TOUCHES = (
+    "record twenty touches of anything (`capture` does) and repeat with --touches: "
+    "they choose the print and judge the fit"
+)
 MOST_WORKERS = 4
 _SAY_S = 5.0
 _SLOW_S = 1800.0
@@ -157,45 +73,6 @@ _COSTS = {"accurate": 1.0, "balanced": 0.4, "fast": 0.15}
 
 Say = Callable[[str], None]
 """Receives a line on the progress and the time left, every few seconds."""
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkReport:
-    """Errors of a network, as shipped and fitted.
-
-    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training did not
-    see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network has
-    learnt. None without presses; the second also if the fitted network misses more of them.
-    """
-
-    name: str
-    shipped_mm: float
-    fitted_mm: float
-    shipped_presses_mm: float | None = None
-    fitted_presses_mm: float | None = None
-
-    @property
-    def kept(self) -> bool:
-        """Whether the fitted network goes into the calibration: it is better on the twin, and tolerable on presses."""
-        if self.shipped_presses_mm is None:
-            return self.fitted_mm < self.shipped_mm
-        found_mm = self.fitted_presses_mm
-        return (
-            self.fitted_mm < self.shipped_mm
-            and found_mm is not None
-            and found_mm < TOLERATED * self.shipped_presses_mm
-        )
-
-    @property
-    def line(self) -> str:
-        """The report as one line of text."""
-        off = f"off by {self.fitted_mm:.2f} mm on simulated frames, {self.shipped_mm:.2f} mm as shipped"
-        line = f"fit of {self.name}: {off}"
-        if self.shipped_presses_mm is not None and self.fitted_presses_mm is None:
-            line += "; it misses more of your presses"
-        elif self.fitted_presses_mm is not None:
-            line += f"; {self.fitted_presses_mm:.2f} mm on your presses, {self.shipped_presses_mm:.2f} mm as shipped"
-        return line if self.kept else f"{line}; that is no better, so the shipped network stays"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,11 +95,13 @@ def fit(
     stated: Mapping[str, float] | None = None,
     folder: Path | None = None,
     mechanics: Mechanics | None = None,
+    touches: Sequence[U8] = (),
 ) -> FitResult:
     """Fit every network to a sensor. `calibration`: without fitted networks. `presses`: the presses that `calibrate`
     used; may be empty. `stated`: sizes of the print in mm from its drawing, by the keys of ``print`` in SENSOR.yaml;
     they are not fitted. `folder`: keeps finished steps, so that an interrupted fit goes on; removed at the end.
-    `mechanics`: the skin's if they are known.
+    `mechanics`: the skin's if they are known. `touches`: pictures of touches without labels, which choose the print and
+    judge the networks where there are no presses. Raises ConfigError (too few of the touches show a touch).
     """
     effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")
@@ -237,51 +116,90 @@ def fit(
         )
         found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
         return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
-    if not prints or prints[0].residual > MOST_UNEXPLAINED:
-        why = (
-            "no pins were found"
-            if not prints
-            else f"it leaves {100 * prints[0].residual:.0f} % of it unexplained"
-        )
-        found = f"no known kind of print looks like the reference ({why}): nothing is fitted"
-        return FitResult(calibration, (found,))
-    if not presses and prints[0].residual > UNEXPLAINED_ALONE:
-        doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
-        found = f"the likeliest print leaves {doubt}: nothing is fitted without presses that judge the fit"
-        return FitResult(calibration, (found,), advice=_advice(Mechanics()))
-    prints = [each for each in prints if each.residual <= LIKELY * prints[0].residual]
+    choice = None
+    pictures = touches or [press.image for press in presses]
+    if touches or len(pictures) >= LEAST_TOUCHES:
+        say("fit: comparing prints with the touches")
+        choice = chosen_prints(calibration, prints, pictures, "pin_length_mm" in stated)
+    refused = _refused(prints, choice)
+    if refused:
+        return FitResult(calibration, refused[:1], advice=refused[1:])
+    prints = (
+        list(choice.prints)
+        if choice
+        else [each for each in prints if each.residual <= LIKELY * prints[0].residual]
+    )
     say("fit: comparing presses with simulated skins" if presses else "fit: simulating")
     mechanics = mechanics or likely_mechanics(calibration, prints[0], presses)
     with contextlib.ExitStack() as stack:
         folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        steps = Steps(folder, _digest(calibration, presses, stated, mechanics, effort))
+        steps = Steps(folder, _digest(calibration, presses, prints, mechanics, effort))
         weights = _worked(calibration, prints, mechanics, effort, steps, say)
         held = [
             steps.frames(f"frames-{seed}")
             for seed in range(effort.batches - effort.held_out, effort.batches)
         ]
-        judged = {name: _judged(calibration, presses, held, name, weights[name]) for name in NAMES}
+        unlabelled = choice.touches if choice and touches else None
+        made = {
+            name: judged(calibration, presses, unlabelled, held, name, weights[name])
+            for name in NAMES
+        }
         steps.remove()
+    left = (
+        ()
+        if choice is None
+        else (f"it leaves {100 * choice.left:.0f} % of the touches' changes unexplained",)
+    )
     return FitResult(
         replace(
             calibration,
-            fitted={name: made for name, (made, report) in judged.items() if report.kept},
+            fitted={name: network for name, (network, report) in made.items() if report.kept},
         ),
-        _words(prints, mechanics, stated),
-        tuple(report for _, report in judged.values()),
-        _advice(mechanics),
-        {name: made for name, (made, _) in judged.items()},
+        (*_words(prints, mechanics, stated), *left),
+        tuple(report for _, report in made.values()),
+        _advice(mechanics, touches=bool(pictures)),
+        {name: network for name, (network, _) in made.items()},
     )
+
+
+def _refused(prints: Sequence[Found], choice: Choice | None) -> tuple[str, ...]:
+    """Why nothing is fitted, and then what a person can do about it; empty if there is no reason."""
+    if choice is not None:
+        if choice.left <= MOST_LEFT:
+            return ()
+        left = (
+            f"the best print leaves {100 * choice.left:.0f} % of the touches' changes unexplained"
+        )
+        return (
+            f"{left}: nothing is fitted",
+            "compare skin_radius_mm, camera_distance_mm and the visible circle with the sensor's drawing",
+        )
+    if not prints:
+        return (
+            "no known kind of print looks like the reference (no pins were found): nothing is fitted",
+            MORE_TOUCHES,
+        )
+    if prints[0].residual > UNEXPLAINED_ALONE:
+        doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
+        return (
+            f"the likeliest print leaves {doubt}: nothing is fitted without touches that judge the fit",
+            MORE_TOUCHES,
+        )
+    return ()
 
 
 def _digest(
-    calibration: Calibration, presses: Sequence[KnownPress], stated: Mapping[str, float], mechanics: Mechanics,
+    calibration: Calibration,
+    presses: Sequence[KnownPress],
+    prints: Sequence[Found],
+    mechanics: Mechanics,
     effort: Effort,
-) -> str:  # fmt: skip
+) -> str:
     digest = hashlib.sha256(
         calibration.reference_white.tobytes() + calibration.reference_grey.tobytes()
     )
-    known = (calibration.geometry, calibration.pitch_px, sorted(stated.items()), mechanics, effort)
+    found = [(each.kind, each.values.tolist(), each.deviations.tolist()) for each in prints]
+    known = (calibration.geometry, calibration.pitch_px, found, mechanics, effort)
     digest.update(repr(known).encode())
     for press in presses:
         digest.update(
@@ -322,7 +240,7 @@ def _train(steps: Steps, name: str, number: int, calibration: Calibration, effor
     def report(step: int) -> None:
         _steps_done[number] = step
 
-    training.train(network, maps, _skin_radii(calibration), effort.steps, report)
+    training.train(network, maps, skin_radii(calibration), effort.steps, report)
     steps.save_weights(name, network.flat())
 
 
@@ -388,71 +306,6 @@ def _wait(
                 slow = True
 
 
-def _skin_radii(calibration: Calibration) -> float:
-    return math.sin(math.radians(calibration.geometry.visible_half_angle_deg))
-
-
-def _judged(
-    calibration: Calibration,
-    presses: Sequence[KnownPress],
-    parts: Sequence[Frames],
-    name: str,
-    weights: F32,
-) -> tuple[FittedNetwork, NetworkReport]:
-    """Judge the weights, or with presses the best of `PARTS` of the way to them."""
-    maps = training.maps_of(calibration, parts, name)
-    unit_mm = calibration.geometry.skin_radius_mm * _skin_radii(calibration)
-    network = TorchNetwork(name)
-    shipped, shipped_mm = network.flat(), unit_mm * training.error(network, maps)
-
-    def part_of_the_way(part: float) -> FittedNetwork:
-        made = shipped + np.float32(part) * (weights - shipped)
-        network.load(made)
-        off_mm = unit_mm * training.error(network, maps)
-        return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm)
-
-    own = calibration.factors.get(name, 1.0)
-    before = (
-        on_presses(calibration, PROFILES[name], load_network(name), presses, own)
-        if presses
-        else None
-    )
-    if before is None or not before.errors_mm:
-        made = part_of_the_way(PART_ALONE[name])
-        return made, NetworkReport(name, shipped_mm, made.error_mm)
-    tried = {}
-    for part in PARTS:
-        made = part_of_the_way(part)
-        after = on_presses(calibration, PROFILES[name], load_network(name, made), presses)
-        found_mm = after.mean_mm if after.presses >= before.presses else None
-        report = NetworkReport(name, shipped_mm, made.error_mm, before.mean_mm, found_mm)
-        if found_mm is not None:
-            made = replace(
-                made,
-                held_out=after.presses,
-                error_mm=found_mm,
-                shipped_error_mm=before.mean_mm,
-                factor=after.factor,
-                error_scale=after.error_scale,
-            )
-        tried[part] = made, report
-    return tried[
-        chosen(
-            {part: report.fitted_presses_mm for part, (_, report) in tried.items()},
-            PART_ALONE[name],
-        )
-    ]
-
-
-def chosen(errors_mm: Mapping[float, float | None], alone: float) -> float:
-    """The part of the way with the least error on presses, or `alone` if no other is clearly better; an error of None
-    counts as the greatest.
-    """
-    known_mm = {part: math.inf if error is None else error for part, error in errors_mm.items()}
-    best = min(known_mm, key=known_mm.__getitem__)
-    return best if known_mm[best] < CLEARLY * known_mm[alone] else alone
-
-
 def _words(
     prints: Sequence[Found], mechanics: Mechanics, stated: Mapping[str, float]
 ) -> tuple[str, ...]:
@@ -481,6 +334,8 @@ def _words(
     unexplained = f"{100 * best.residual:.0f} % of the pattern unexplained"
     lines = [
         f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} ({unexplained})"
+        if not best.kind.patches
+        else f"took the tips from the sensor's own picture: pitch {pitch_mm:.2f} mm, {sizes[0]}"
     ]
     if mechanics.seen:
         decay = " to ".join(f"{each:.1f}" for each in mechanics.decay_mm)
@@ -491,9 +346,6 @@ def _words(
     return tuple(lines)
 
 
-def _advice(mechanics: Mechanics) -> tuple[str, ...]:
-    if mechanics.seen:
-        return ()
-    return (
-        f"press at least {LEAST_PRESSES} balls at stated places: they show how soft the skin is",
-    )
+def _advice(mechanics: Mechanics, touches: bool) -> tuple[str, ...]:
+    balls = f"press at least {LEAST_PRESSES} balls at stated places: they show how soft the skin is"
+    return (*(() if mechanics.seen else (balls,)), *(() if touches else (MORE_TOUCHES,)))

@@ -27,9 +27,11 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.fitting.lattice import NOMINAL_PITCHES, Lattice, Tips, find_lattice, find_tips
 from tacshade_edge.fitting.prints import (
     BLURS_PX,
+    DEVIATIONS,
     KINDS,
     PARAMETERS,
     TRIANGLES,
+    WHITE_TIP_DEVIATIONS,
     Found,
     Problem,
     WhiteMap,
@@ -147,7 +149,10 @@ def identify(
         values, covariance = refined(problem, values, free)
         unexplained = problem.against(0.0)(values)
         residual = math.sqrt(float(unexplained @ unexplained) / cells) / spread
-        made.append(Found(problem.kind, values, covariance, residual, problem.tips, base, light))
+        deviations = WHITE_TIP_DEVIATIONS if problem.kind.white_tips else DEVIATIONS
+        made.append(
+            Found(problem.kind, values, covariance, residual, problem.tips, base, light, deviations)
+        )
     return sorted(made, key=lambda each: each.residual)
 
 

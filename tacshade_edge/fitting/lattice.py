@@ -94,8 +94,12 @@ def pitch_mm_of(calibration: Calibration) -> float:
     )
 
 
-def find_tips(calibration: Calibration, white_tips: bool, length_pitches: float) -> F64:
-    """Image points (N, 2), col and row, of blobs that are about a pitch apart."""
+def find_tips(
+    calibration: Calibration, white_tips: bool, length_pitches: float, divided: bool = False
+) -> F64:
+    """Image points (N, 2), col and row, of blobs that are about a pitch apart; with `divided`, brightness is relative
+    to its surroundings, so that tips in the shade count like those under a lamp.
+    """
     geometry, disc = calibration.geometry, calibration.geometry.disc
     pitch_mm = pitch_mm_of(calibration)
     radius_mm, px_mm = geometry.skin_radius_mm - length_pitches * pitch_mm, pitch_mm / 12
@@ -114,7 +118,8 @@ def find_tips(calibration: Calibration, white_tips: bool, length_pitches: float)
     local = cv2.GaussianBlur(grey * mask, (0, 0), sigma) / np.maximum(
         cv2.GaussianBlur(mask, (0, 0), sigma), 1e-3
     )
-    seen = cv2.remap((grey - local) * mask, cols, rows, cv2.INTER_LINEAR)
+    contrast = grey / np.maximum(local, 1) - 1 if divided else grey - local
+    seen = cv2.remap((contrast * mask).astype(np.float32), cols, rows, cv2.INTER_LINEAR)
     inside = cv2.remap(mask, cols, rows, cv2.INTER_LINEAR) > 0.99
     blob = cv2.GaussianBlur(seen if white_tips else -seen, (0, 0), 0.22 * 12)
     top = cv2.dilate(blob, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (13, 13)))

@@ -56,15 +56,20 @@ difference of one in a hundred count as much as a change of all cells by 0.02.""
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A way to make a print: white tips, or dark pins beside markers in the lattice's triangles or cells."""
+    """A way to make a print: white tips, or dark pins beside markers in the lattice's triangles or cells; or `patches`
+    of the sensor's own picture around white tips (`fitting.patches`).
+    """
 
     white_tips: bool
     marker_parts: tuple[tuple[float, float], ...]
     profile: PinProfile
+    patches: bool = False
 
     @property
     def name(self) -> str:
         """For reports."""
+        if self.patches:
+            return "tips from the sensor's own picture"
         what = (
             "white tips"
             if self.white_tips
@@ -87,7 +92,9 @@ KINDS = (
 class Found:
     """A print that was fitted to a reference. `values` (float64 (P,)): `PARAMETERS`, the lattice's values if there is
     one, then the blur in px. `covariance`: float64 (P, P). `residual`: RMS of the white that the print leaves
-    unexplained, over that of the reference's white.
+    unexplained, over that of the reference's white. `light`, float32 (H, W): grey level of white features, or, for a
+    print of patches, the reference inside the disc. `around`: the reference outside it, for patches. `deviations`
+    (float64 (4,)): standard deviations of `PARAMETERS` by which a fit is off besides its own doubt.
     """
 
     kind: Kind
@@ -97,6 +104,8 @@ class Found:
     tips: Tips | None
     base: SensorModel
     light: F32
+    deviations: F64
+    around: F32 | None = None
 
     def at(self, values: F64) -> tuple[SensorModel, Layout]:
         """The sensor with these values, and where its pins are."""
@@ -105,7 +114,7 @@ class Found:
     def cloud(self) -> F64:
         """Covariance of the values that the reference leaves possible, (P, P): the fit's, and errors of the model."""
         model = np.zeros(len(self.values))
-        model[:4] = WHITE_TIP_DEVIATIONS if self.kind.white_tips else DEVIATIONS
+        model[: len(PARAMETERS)] = self.deviations
         return np.asarray(4 * self.covariance + np.diag(model**2))
 
 

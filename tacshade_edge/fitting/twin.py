@@ -22,7 +22,8 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.image.white import CellMeans
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.fitting.prints import BLURS_PX, Found, TwinRenderer, WhiteMap, print_of
+from tacshade_edge.fitting.patches import renderer_of
+from tacshade_edge.fitting.prints import BLURS_PX, Found, WhiteMap
 from tacshade_edge.fitting.skins import (
     NUISANCE_PART,
     Unevenness,
@@ -78,9 +79,7 @@ def likely_mechanics(
     errors = {}
     for decay_mm, friction in product(DECAYS_MM, FRICTIONS):
         skin_model = replace(model, skin_decay_mm=decay_mm, friction=friction)
-        renderer = TwinRenderer(
-            skin_model, found.kind, print_of(skin_model, found.kind, layout), found.light
-        )
+        renderer = renderer_of(found, skin_model, layout)
 
         def drawn(skin, renderer=renderer) -> F32:  # type: ignore[no-untyped-def]
             return white.of(np.clip(renderer.draw(skin) + 0.5, 0, 255).astype(np.uint8))
@@ -157,9 +156,7 @@ class View:
             size_tolerance=float(rng.uniform(0.01, 0.05)),
             print_seed=int(rng.integers(1 << 30)),
         )
-        self.renderer = TwinRenderer(
-            self.model, found.kind, print_of(self.model, found.kind, layout), found.light
-        )
+        self.renderer = renderer_of(found, self.model, layout)
         clean = self.renderer.draw(undeformed(self.model.skin_radius_mm))
         greys = [self.renderer.level(clean, int(rng.integers(1 << 30))) for _ in range(REFERENCES)]
         own = with_reference(calibration, greys)

@@ -204,7 +204,7 @@ class Renderer:
             model.skin_reflectance, model.marker_reflectance, model.pin_reflectance, model.pin_tip_reflectance
         ))  # fmt: skip
         canvas = np.full(size, ground, np.uint8)
-        smooth = _smoothed(skin, float(np.mean(marks.pin_base_mm)))
+        smooth = smoothed(skin, float(np.mean(marks.pin_base_mm)))
         outline = _on_skin(skin, *self._carried(smooth, marks.marker_chart_mm, model.friction))
         for polygon in _to_canvas(project(model.geometry, outline)):
             cv2.fillConvexPoly(canvas, polygon, white, cv2.LINE_8, _SHIFT)
@@ -292,7 +292,7 @@ def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
     return direction * (skin.radius_mm - skin.sample(chart_mm[..., 0], chart_mm[..., 1]))[..., None]
 
 
-def _smoothed(skin: Skin, patch_mm: float) -> Skin:
+def smoothed(skin: Skin, patch_mm: float) -> Skin:
     """The skin as a stiff printed feature senses it, with h averaged over a patch of the given radius."""
     side = 2 * max(1, round(patch_mm / skin.step_mm)) + 1
     return replace(skin, height_mm=np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32))

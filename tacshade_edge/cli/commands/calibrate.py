@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 
 _SHOWN = 3
 # Options that have no effect with ``--rezero``, and what that keeps.
-_WITH_REZERO = dict.fromkeys(("presses", "indenters", "fit"), "the fit to the presses") | {
-    "labels": "the touch model"
-}
+_WITH_REZERO = dict.fromkeys(
+    ("presses", "indenters", "fit", "touches"), "the fit to the presses"
+) | {"labels": "the touch model"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,6 +82,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "also train the networks on a simulated twin: minutes, with the extra `fit`",
     )
     add_option(
+        parser,
+        "--touches",
+        "IMG",
+        "pictures of touches without labels, or folders: they choose the twin of --fit and judge it",
+        nargs="+",
+    )
+    add_option(
         parser, "--labels", "LABELS.csv", "learn quantities from the labelled frames in this table"
     )
     add_option(parser, "--out", "CAL.npz", "calibration file to write", required=True)
@@ -107,10 +114,13 @@ def run(args: argparse.Namespace) -> int:
     for option in ("depth_from_touch", "indenters"):
         if getattr(args, option) and not args.presses:
             args.parser.error(f"--{option.replace('_', '-')} has no effect without --presses")
+    if args.touches and not args.fit:
+        args.parser.error("--touches has no effect without --fit")
     if args.fit:
         need("--fit", "fit", "torch", "numba")  # large, and needed only here
     args.reference = images_in(args.reference)
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
+    touches = _read_touches(args.touches, references[0]) if args.touches else []
     labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
     names = list(map(str, args.reference))
@@ -139,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
 
         say = partial(print, file=sys.stderr, flush=True)
         folder = args.out.with_name(f"{args.out.name}.fit")
-        fitted = fit(calibration, result.presses, say, sensor.print_mm, folder)
+        fitted = fit(calibration, result.presses, say, sensor.print_mm, folder, touches=touches)
         calibration = fitted.calibration
     touch = _learn(calibration, args.labels, labelled) if labelled else []
     learnt = {one.profile: one.learnt.model for one in touch if one.learnt.model is not None}
@@ -161,10 +171,10 @@ def run(args: argparse.Namespace) -> int:
             errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
             print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
         for line in (*fitted.found, *(report.line for report in fitted.networks)) if fitted else ():
-            print(line)
+            print(line, file=sys.stdout if fitted and fitted.networks else sys.stderr)
         for advice in (*(fitted.advice if fitted else ()), *quality.advice):
             print(f"  to do: {advice}")
-    return 0
+    return 1 if fitted and not fitted.networks else 0
 
 
 def _plot(path: Path, picture: U8) -> None:
@@ -232,6 +242,21 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
             expected = f"expected {first} px as in the first reference"
             raise ConfigError(f"--reference: {path}: found {_size(image)} px, {expected}")
     return references
+
+
+def _read_touches(paths: Sequence[Path], reference: U8) -> list[U8]:
+    made = []
+    for path in images_in(paths):
+        try:
+            image = read_image(path)
+        except DecodeError as error:
+            raise ConfigError(f"--touches: {error}") from None
+        if _size(image) != _size(reference):
+            raise ConfigError(
+                f"--touches: {path}: found {_size(image)} px, expected {_size(reference)} px as in the references"
+            )
+        made.append(image)
+    return made
 
 
 def _size(image: U8) -> str:

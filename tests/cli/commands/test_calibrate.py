@@ -342,12 +342,54 @@ def test_a_fit_goes_into_the_file(
         ("found a print",),
         (fit.NetworkReport("fast", 0.3, 0.2),),
     )
-    monkeypatch.setattr(fit, "fit", lambda *_: made)
-    out = tmp_path / "cal.npz"
-    assert main(["calibrate", *words, "--fit", "--out", str(out), "--json"]) == 0
+    given: list[U8] = []
+
+    def fitted(*_: object, touches: list[U8]) -> fit.FitResult:
+        given.extend(touches)
+        return made
+
+    monkeypatch.setattr(fit, "fit", fitted)
+    out, touches = tmp_path / "cal.npz", tmp_path / "touches"
+    touches.mkdir()
+    cv2.imwrite(str(touches / "1.png"), simulated().frame((), 5).image)
+    command = ["calibrate", *words, "--fit", "--touches", str(touches), "--out", str(out)]
+    assert main([*command, "--json"]) == 0
+    assert len(given) == 1
     report = json.loads(capsys.readouterr().out)
     assert (list(report["fitted"]), report["fit_found"]) == (["fast"], ["found a print"])
     assert set(calibration_file.load(out).fitted) == {"fast"}
+
+
+def test_a_refused_fit_writes_the_calibration_and_exits_1(
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
+    from tacshade_edge.fitting import fit
+
+    made = fit.FitResult(calibrated(), ("nothing is fitted",), advice=("take touches",))
+    monkeypatch.setattr(fit, "fit", lambda *_, **__: made)
+    out = tmp_path / "cal.npz"
+    assert main(["calibrate", *words, "--fit", "--out", str(out)]) == 1
+    printed = capsys.readouterr()
+    assert "nothing is fitted" in printed.err
+    assert "to do: take touches" in printed.out
+    assert not calibration_file.load(out).fitted
+
+
+def test_touches_of_another_size_are_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
+    cv2.imwrite(str(tmp_path / "touch.png"), np.zeros((24, 32), np.uint8))
+    command = ["calibrate", *words, "--touches", str(tmp_path / "touch.png")]
+    assert main([*command, "--fit", "--out", str(tmp_path / "cal.npz")]) == 78
+    assert "touch.png: found 32x24 px, expected 320x240 px" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([*command, "--out", str(tmp_path / "cal.npz")])
+    assert "--touches has no effect without --fit" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,264 @@
+"""Judge fitted networks by a sensor's presses, or by touches without labels: which part of the way, and whether to keep
+them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacshade_edge.core.calibration import refit
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.calibration.refit import error_scale, errors_in_sigma, placed_press
+from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import LearnedSolver
+from tacshade_edge.core.geometry.disc_map import rays_in_image
+from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.profiles import PROFILES, Profile
+from tacshade_edge.fitting import training
+from tacshade_edge.fitting.explained import Touches
+from tacshade_edge.fitting.training import TorchNetwork
+from tacshade_edge.fitting.twin import Frames
+from tacshade_edge.inference.network import load_network, shipped_layout
+from tacshade_edge.types import F32, Calibration, FittedNetwork
+
+
+@dataclass(frozen=True, slots=True)
+class OnPresses:
+    """A network's errors on presses. `errors_mm`: mean error of h for each indenter, at the cells where its surface is
+    known; empty if no contact is found. `presses`: presses whose contact the network finds. `factor`: on h; other than
+    1 if every indenter's error, with the factor that the others show, is less in the mean: `errors_mm` are then these.
+    `error_scale`: factor on σ; None without presses or a model of the network's errors.
+    """
+
+    errors_mm: dict[str, float]
+    presses: int
+    factor: float
+    error_scale: float | None
+
+    @property
+    def mean_mm(self) -> float:
+        """Mean over the indenters, each with the same weight."""
+        return float(np.mean(list(self.errors_mm.values())))
+
+
+def on_presses(
+    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress],
+    factor: float | None = None,
+) -> OnPresses:  # fmt: skip
+    """Measure a network on presses, with the factor on h that it has, or with one that they show."""
+    geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
+    solver = LearnedSolver(preprocessor, network)
+    inside = rays_in_image(solver.grid, calibration).inside
+    seen = []
+    for press in presses:
+        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+        at = placed_press(geometry, inverse, press)
+        if at is None or (row := refit.press_factor(inverse, geometry, at)) is None:
+            continue
+        truth, use = refit.known_cells(inverse, geometry, at)
+        use &= inside
+        if np.count_nonzero(use) < refit.LEAST_CELLS:
+            continue
+        height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(
+            np.float32
+        )
+        name = press.indenter.name if press.indenter else f"ball of radius {press.radius_mm:g} mm"
+        seen.append((name, row, inverse, height, truth, use))
+    names = dict.fromkeys(name for name, *_ in seen)
+
+    def errors(factors: Mapping[str, float]) -> dict[str, float]:
+        off: dict[str, list[float]] = {name: [] for name in names}
+        for name, _, _, height, truth, use in seen:
+            off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
+        return {name: float(np.mean(each)) for name, each in off.items()}
+
+    factors = {
+        name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0
+        for name in names
+    }
+    plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
+    gains = factor is not None or sum(scaled.values()) < sum(plain.values())
+    in_sigma = [
+        errors_in_sigma(
+            network.sigma, np.float32(factors[name] if gains else 1) * height, truth, inverse.contact_logit,
+            inverse.untrusted_logit, use, geometry,
+        )
+        for name, _, inverse, height, truth, use in seen
+        if network.sigma is not None
+    ]  # fmt: skip
+    return OnPresses(
+        scaled if gains else plain,
+        len(seen),
+        (factor or refit.fit_factor([row for _, row, *_ in seen]) or 1.0) if gains else 1.0,
+        error_scale(network.sigma, in_sigma) if network.sigma is not None and in_sigma else None,
+    )
+
+
+PARTS = (0.25, 0.5, 0.75, 1.0)
+"""Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
+what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+"""
+PART_ALONE = {"accurate": 0.25, "balanced": 0.5, "fast": 0.5}
+"""The part without presses that judge: less for networks that know other skins better."""
+ALIKE = 1.02
+"""Parts that leave at most this many times as much of the touches unexplained as the best one are alike."""
+CLEARLY, TOLERATED = 0.95, 1.1
+"""How much better than `PART_ALONE` another part is on presses that is taken instead, and how much worse than the
+shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkReport:
+    """Errors of a network, as shipped and fitted.
+
+    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training did not
+    see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network has
+    learnt. None without presses; the second also if the fitted network misses more of them. `shipped_left`,
+    `fitted_left`: the part of the touches' changes that the heights leave unexplained; None without touches, or where
+    presses judge.
+    """
+
+    name: str
+    shipped_mm: float
+    fitted_mm: float
+    shipped_presses_mm: float | None = None
+    fitted_presses_mm: float | None = None
+    shipped_left: float | None = None
+    fitted_left: float | None = None
+
+    @property
+    def kept(self) -> bool:
+        """Whether the fitted network goes into the calibration: it is better on the twin, and on touches, or tolerable
+        on presses.
+        """
+        if self.fitted_mm >= self.shipped_mm:
+            return False
+        if self.shipped_presses_mm is not None:
+            found_mm = self.fitted_presses_mm
+            return found_mm is not None and found_mm < TOLERATED * self.shipped_presses_mm
+        if self.shipped_left is not None and self.fitted_left is not None:
+            return self.fitted_left < self.shipped_left
+        return True
+
+    @property
+    def line(self) -> str:
+        """The report as one line of text."""
+        off = f"off by {self.fitted_mm:.2f} mm on simulated frames, {self.shipped_mm:.2f} mm as shipped"
+        line = f"fit of {self.name}: {off}"
+        if self.shipped_presses_mm is not None and self.fitted_presses_mm is None:
+            line += "; it misses more of your presses"
+        elif self.fitted_presses_mm is not None:
+            line += f"; {self.fitted_presses_mm:.2f} mm on your presses, {self.shipped_presses_mm:.2f} mm as shipped"
+        elif self.shipped_left is not None and self.fitted_left is not None:
+            left, before = 100 * self.fitted_left, 100 * self.shipped_left
+            line += (
+                f"; it leaves {left:.0f} % of your touches unexplained, {before:.0f} % as shipped"
+            )
+        return line if self.kept else f"{line}; that is no better, so the shipped network stays"
+
+
+def skin_radii(calibration: Calibration) -> float:
+    """The disc's radius in skin radii."""
+    return math.sin(math.radians(calibration.geometry.visible_half_angle_deg))
+
+
+def judged(
+    calibration: Calibration,
+    presses: Sequence[KnownPress],
+    touches: Touches | None,
+    parts: Sequence[Frames],
+    name: str,
+    weights: F32,
+) -> tuple[FittedNetwork, NetworkReport]:
+    """Judge the weights, or the best of `PARTS` of the way to them by presses, or else by touches. `parts`: frames of
+    the twin that training did not see.
+    """
+    maps = training.maps_of(calibration, parts, name)
+    unit_mm = calibration.geometry.skin_radius_mm * skin_radii(calibration)
+    network = TorchNetwork(name)
+    shipped, shipped_mm = network.flat(), unit_mm * training.error(network, maps)
+
+    def part_of_the_way(part: float) -> FittedNetwork:
+        made = shipped + np.float32(part) * (weights - shipped)
+        network.load(made)
+        off_mm = unit_mm * training.error(network, maps)
+        return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm)
+
+    if presses:
+        own = calibration.factors.get(name, 1.0)
+        before = on_presses(calibration, PROFILES[name], load_network(name), presses, own)
+        if before.errors_mm:
+            made = {part: part_of_the_way(part) for part in PARTS}
+            return _by_presses(calibration, presses, before, name, made)
+    if touches is not None:
+        return _by_touches(
+            calibration, touches, name, {part: part_of_the_way(part) for part in PARTS}
+        )
+    alone = part_of_the_way(PART_ALONE[name])
+    return alone, NetworkReport(name, shipped_mm, alone.error_mm)
+
+
+def _by_presses(
+    calibration: Calibration,
+    presses: Sequence[KnownPress],
+    before: OnPresses,
+    name: str,
+    made: Mapping[float, FittedNetwork],
+) -> tuple[FittedNetwork, NetworkReport]:
+    tried = {}
+    for part, fitted in made.items():
+        after = on_presses(calibration, PROFILES[name], load_network(name, fitted), presses)
+        found_mm = after.mean_mm if after.presses >= before.presses else None
+        shipped_mm = fitted.shipped_error_mm
+        report = NetworkReport(name, shipped_mm, fitted.error_mm, before.mean_mm, found_mm)
+        if found_mm is not None:
+            fitted = replace(
+                fitted,
+                held_out=after.presses,
+                error_mm=found_mm,
+                shipped_error_mm=before.mean_mm,
+                factor=after.factor,
+                error_scale=after.error_scale,
+            )
+        tried[part] = fitted, report
+    errors_mm = {part: report.fitted_presses_mm for part, (_, report) in tried.items()}
+    return tried[chosen(errors_mm, PART_ALONE[name])]
+
+
+def _by_touches(
+    calibration: Calibration, touches: Touches, name: str, made: Mapping[float, FittedNetwork]
+) -> tuple[FittedNetwork, NetworkReport]:
+    before = touches.left_by(calibration, name)
+    left = {
+        part: touches.left_by(replace(calibration, fitted={name: fitted}), name)
+        for part, fitted in made.items()
+    }
+    best = least_part(left)
+    report = NetworkReport(
+        name,
+        made[best].shipped_error_mm,
+        made[best].error_mm,
+        shipped_left=before,
+        fitted_left=left[best],
+    )
+    return made[best], report
+
+
+def least_part(left: Mapping[float, float]) -> float:
+    """The least part of the way that explains touches about as well as the best one: a network nearer to the shipped
+    one knows more of other skins.
+    """
+    return min(part for part, each in left.items() if each <= ALIKE * min(left.values()))
+
+
+def chosen(errors_mm: Mapping[float, float | None], alone: float) -> float:
+    """The part of the way with the least error on presses, or `alone` if no other is clearly better; an error of None
+    counts as the greatest.
+    """
+    known_mm = {part: math.inf if error is None else error for part, error in errors_mm.items()}
+    best = min(known_mm, key=known_mm.__getitem__)
+    return best if known_mm[best] < CLEARLY * known_mm[alone] else alone

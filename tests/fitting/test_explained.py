@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import TACTIP, calibrated, found_prints, pressed, simulated, step
+
+from tacshade_edge.simulator.press import OBJECTS, Press
+from tacshade_edge.types import U8, Calibration, Reconstruction
+
+pytestmark = [
+    pytest.mark.fit,
+    pytest.mark.slow,
+    pytest.mark.skipif(find_spec("numba") is None, reason="numba (the extra fit) is not installed"),
+]
+
+
+def deeper(made: Reconstruction, factor: float) -> Reconstruction:
+    height_mm = made.height.height_mm * np.float32(factor)
+    return replace(made, height=replace(made.height, height_mm=height_mm))
+
+
+def touches() -> list[U8]:
+    """Different objects in different places."""
+    rng = np.random.default_rng(5)
+    names = sorted(OBJECTS)
+    made = []
+    for k in range(10):
+        x, y = rng.uniform(-6, 6, 2)
+        press = Press(OBJECTS[names[k % len(names)]](), x, y, rng.uniform(1.5, 4))
+        made.append(simulated(TACTIP).frame((press,), 60 + k).image)
+    return made
+
+
+def own() -> Calibration:
+    return calibrated(TACTIP, 0)
+
+
+@pytest.mark.parametrize("thing", ["ball", "cube", "cylinder"])
+def test_the_right_map_explains_a_picture_best(thing: str) -> None:
+    from tacshade_edge.fitting.explained import Picture
+
+    frame = pressed(thing, 3.0)
+    picture = Picture(calibrated(), found_prints()[0])
+    change = picture.change(frame.image)
+    assert picture.is_touch(change)
+    made = step("accurate", frame.image)
+    left = {k: picture.unexplained(change, deeper(made, k)) for k in (0.5, 1.0, 1.6)}
+    assert left[1.0] == min(left.values()) < 0.45
+    assert np.square(picture.left(change, made)).sum() < np.square(change).sum()
+
+
+def test_without_contact_nothing_is_explained() -> None:
+    from tacshade_edge.fitting.explained import Picture
+
+    picture = Picture(calibrated(), found_prints()[0])
+    frame = pressed("ball", 3.0)
+    nothing = replace(step("fast", frame.image), contact=False)
+    assert picture.unexplained(picture.change(frame.image), nothing) == 1.0
+    assert not picture.is_touch(picture.change(simulated().frame((), 9).image))
+
+
+def test_touches_show_how_long_white_pins_are() -> None:
+    from tacshade_edge.fitting.explained import chosen_prints
+
+    choice = chosen_prints(own(), [], touches())
+    assert choice is not None
+    assert choice.prints[0].kind.patches
+    assert choice.left < 0.6
+    length = choice.prints[0].values[0]
+    assert 0.6 * TACTIP.pin_length_pitches < length < 1.7 * TACTIP.pin_length_pitches
+
+
+def test_touches_rank_networks() -> None:
+    from tacshade_edge.fitting.explained import Touches, chosen_prints
+
+    choice = chosen_prints(own(), [], touches())
+    assert choice is not None
+    found = Touches(own(), choice.prints[0], touches())
+    made = found.reconstructed(own(), "accurate")
+    assert found.left(made) < found.left([deeper(each, 0.4) for each in made])
+    assert found.left(made) == pytest.approx(found.left_by(own(), "accurate"))

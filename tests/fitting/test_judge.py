@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from support.calibrated_sensor import calibrated, presses
+
+from tacshade_edge.core.depth.base import Features
+from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.types import F32
+
+if TYPE_CHECKING:
+    from tacshade_edge.fitting.judge import NetworkReport
+
+pytestmark = [
+    pytest.mark.fit,
+    pytest.mark.skipif(
+        find_spec("torch") is None, reason="PyTorch (the extra fit) is not installed"
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("simulated", "pressed", "kept"),
+    [
+        ((0.3, 0.2), (None, None), True),
+        ((0.3, 0.31), (None, None), False),
+        ((0.3, 0.27), (0.3, 0.2), True),
+        ((0.3, 0.2), (0.3, None), False),
+        ((0.3, 0.2), (0.3, 0.32), True),
+        ((0.3, 0.2), (0.3, 0.34), False),
+        ((0.2, 0.3), (0.3, 0.2), False),
+    ],
+)
+def test_a_network_is_kept_if_it_is_better_on_the_twin_and_tolerable_on_presses(
+    simulated: tuple[float, float], pressed: tuple[float | None, float | None], kept: bool
+) -> None:
+    report = _report(*simulated, *pressed)
+    assert report.kept == kept
+    assert report.line.endswith("the shipped network stays") != kept
+
+
+@pytest.mark.parametrize(
+    ("errors_mm", "part"),
+    [
+        ({0.25: 0.3, 0.5: 0.29, 1.0: 0.285}, 0.25),
+        ({0.25: 0.3, 0.5: 0.25, 1.0: 0.27}, 0.5),
+        ({0.25: None, 0.5: None, 1.0: 0.4}, 1.0),
+        ({0.25: 0.3, 0.5: None, 1.0: None}, 0.25),
+        ({0.25: None, 0.5: None, 1.0: None}, 0.25),
+    ],
+)
+def test_presses_choose_another_part_only_if_it_is_clearly_better(
+    errors_mm: dict[float, float | None], part: float
+) -> None:
+    from tacshade_edge.fitting.judge import chosen
+
+    assert chosen(errors_mm, 0.25) == part
+
+
+def _report(*errors: float | None) -> NetworkReport:
+    from tacshade_edge.fitting.judge import NetworkReport as Report
+
+    return Report("fast", *errors)  # type: ignore[arg-type]
+
+
+def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
+    from tacshade_edge.fitting.judge import on_presses
+    from tacshade_edge.inference.network import load_network
+
+    found = on_presses(calibrated(), PROFILES["fast"], load_network("fast"), presses()[:6])
+    assert found.presses == 6
+    assert 0 < found.mean_mm < 0.6
+    assert found.error_scale is not None
+    none = on_presses(
+        calibrated(), PROFILES["fast"], replace(load_network("fast"), sigma=None), presses()[:1]
+    )
+    assert none.error_scale is None
+
+
+def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() -> None:
+    from tacshade_edge.fitting.judge import on_presses
+    from tacshade_edge.inference.network import load_network
+
+    network = load_network("fast")
+
+    def shallow(white: F32, sensor: F32, features: Features | None = None) -> list[F32]:
+        maps, untrusted = network.run(white, sensor, features)
+        return [np.concatenate((maps[: network.fold**2] / 2, maps[network.fold**2 :])), untrusted]
+
+    halved = replace(network, run=shallow)
+    own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
+    alike = on_presses(calibrated(), PROFILES["fast"], halved, own)
+    assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
+    assert (
+        on_presses(calibrated(), PROFILES["fast"], halved, own, 2.0).mean_mm < 0.6 * alike.mean_mm
+    )
+    others = [replace(press, radius_mm=5.1) for press in own[6:]]
+    found = on_presses(calibrated(), PROFILES["fast"], halved, [*own[:6], *others])
+    assert (len(found.errors_mm), found.presses) == (2, 12)
+    assert found.factor == pytest.approx(2, rel=0.2)
+    assert found.mean_mm < 0.5 * alike.mean_mm
+
+
+@pytest.mark.parametrize(("left", "kept"), [((0.4, 0.3), True), ((0.3, 0.31), False)])
+def test_a_network_is_kept_if_it_explains_touches_better(
+    left: tuple[float, float], kept: bool
+) -> None:
+    from tacshade_edge.fitting.judge import NetworkReport
+
+    report = NetworkReport("fast", 0.3, 0.2, shipped_left=left[0], fitted_left=left[1])
+    assert report.kept == kept
+    assert "of your touches unexplained" in report.line
+
+
+@pytest.mark.parametrize(
+    ("left", "part"),
+    [
+        ({0.25: 0.279, 0.5: 0.269, 0.75: 0.253, 1.0: 0.241}, 1.0),
+        ({0.25: 0.609, 0.5: 0.583, 0.75: 0.581, 1.0: 0.613}, 0.5),
+    ],
+)
+def test_touches_choose_the_least_part_that_explains_about_as_well(
+    left: dict[float, float], part: float
+) -> None:
+    from tacshade_edge.fitting.judge import least_part
+
+    assert least_part(left) == part
