@@ -144,8 +144,6 @@ PAGES = {
             "": f"{THIRD} working --sensors 6 --ways 2 --states out/third",
             "Final range": f"{THIRD} final --sensors 6 --ways 2 --states out/third",
             "Final range, 40 presses": f"{THIRD} final --sensors 6 --ways 2 --states out/third --presses 40",
-            "Fitted": f"{THIRD} final --sensors 2 --ways 3 --states out/third --fit",
-            "Fitted, 40 presses": f"{THIRD} final --sensors 2 --ways 3 --states out/third --presses 40 --fit",
         },
     ),
     "touch": Page(
@@ -164,6 +162,7 @@ OLDER = (
     "objects",
     "drag",
     "limits",
+    "paper",
     "tradeoff",
     "daemon",
     "real-frames",

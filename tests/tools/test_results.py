@@ -13,7 +13,7 @@ from tools.results import OLDER, PAGES, Page
 ROOT = results.ROOT
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 WITHOUT_FINGERPRINT = {
-    *("objects", "drag", "sigma", "limits", "tradeoff", "daemon", "real-frames"),
+    *("objects", "drag", "sigma", "limits", "paper", "tradeoff", "daemon", "real-frames"),
     *("slip", "servo", "fit", "third-family", "touch", "arm", "faults"),
 }
 """The pages that were there before fingerprints: any other page is current."""

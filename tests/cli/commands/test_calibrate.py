@@ -23,6 +23,7 @@ from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.images import read_image
+from tacshade_edge.types import U8
 
 pytestmark = pytest.mark.slow
 LABELLED = 60

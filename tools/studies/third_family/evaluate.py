@@ -2,11 +2,11 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40] [--fit]
+    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40]
 
 FOLDER contains the solved mechanics (solve.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
-with ``--presses``, on presses; ``--fit`` fits the networks to these. ``--out`` writes a row for each frame
-and profile to third-family.csv; ``--pictures`` writes PNG frames.
+with ``--presses``, on presses; `tools.studies.strangers` fits the networks to them. ``--out`` writes a row for each
+frame and profile to third-family.csv; ``--pictures`` writes PNG frames.
 """
 
 from __future__ import annotations
@@ -107,10 +107,8 @@ def pictured(range_name: str, sensor: int, way_count: int, folder: Path) -> Iter
             )
 
 
-def calibrated(
-    range_name: str, sensor: int, presses: Sequence[KnownPress] = (), fitted: bool = False
-) -> Calibration:
-    """Calibrate a sensor on pictures of its untouched skin and presses, and fit it to these. Raises ConfigError."""
+def calibrated(range_name: str, sensor: int, presses: Sequence[KnownPress] = ()) -> Calibration:
+    """Calibrate a sensor on pictures of its untouched skin and presses. Raises ConfigError."""
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     untouched = draws.draw(undeformed(dome.radius_mm))
@@ -118,15 +116,7 @@ def calibrated(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
     )
     references = [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(REFERENCES)]
-    result = calibrate(stated, references, list(presses), networks=load_networks())
-    if not fitted:
-        return result.calibration
-    from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
-
-    made = fit(result.calibration, result.presses, lambda _: None)
-    for report in made.networks:
-        print(f"sensor {sensor}: {report.line}", file=sys.stderr)
-    return made.calibration
+    return calibrate(stated, references, list(presses), networks=load_networks()).calibration
 
 
 def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged:
@@ -216,9 +206,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--presses", type=int, default=0, help="that each sensor is calibrated on (none)"
     )
-    parser.add_argument(
-        "--fit", action="store_true", help="the networks to these and the references"
-    )
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args(arguments)
@@ -242,7 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
         model, _ = drawn(options.range, sensor)
         try:
             presses = known_presses(options.range, sensor, options.presses, options.states)
-            calibration = calibrated(options.range, sensor, presses, options.fit)
+            calibration = calibrated(options.range, sensor, presses)
         except ConfigError as error:
             print(f"sensor {sensor} cannot be calibrated: {error}", file=sys.stderr)
             continue
