@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, overload
@@ -15,6 +16,7 @@ from tacshade_edge.core.contact.gate import (
     gate_preprocessor,
 )
 from tacshade_edge.core.contact.objects import contact_of, find_objects
+from tacshade_edge.core.contact.rest import Evidence, exceeds
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, Network
 from tacshade_edge.core.depth.base import Mark
@@ -31,7 +33,7 @@ from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import NETWORK, Profile
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model, touch_without_labels
-from tacshade_edge.reasons import Reason
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import (
     F32,
     U8,
@@ -222,10 +224,11 @@ class Reconstructor:
             )
         mark("cloud")
         if objects is None:
-            made = self._empty(frame, degraded=degraded)
+            felt = self._felt(depth, degraded)
+            made = self._empty(frame, degraded=felt or degraded, touched=felt is not None)
             if features:  # a model of labels may know a touch that the map does not show
                 return self._with_touch(made, features, mark)
-            if quiet:
+            if quiet and felt is None:
                 self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
             return made
         if need == Need.CONTACT:
@@ -277,6 +280,37 @@ class Reconstructor:
         """The solver's depth for an image, without frame check and gate."""
         return self._solver.solve(
             self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark
+        )
+
+    def evidence(self, image: U8) -> Evidence | Reason:
+        """What speaks for a touch in an image, or why the image is invalid or degraded; the gate is not asked."""
+        if reason := size_reason(image, self._shape) or first_reason(self.measured(image)):
+            return reason
+        seen = self._seen.preprocess(self._seen.grey(image))
+        drift_grey = self._seen.drift_grey(self._seen.ratio(seen.white))
+        degraded = picture.degraded_reason(seen.unseen, drift_grey)
+        changed_part = self._gate.changed_part(seen)
+        return degraded or Evidence(self._greatest_logit(self.depth(image)), changed_part)
+
+    def _greatest_logit(self, depth: Depth) -> float:
+        logit = depth.contact_logit
+        return -math.inf if logit is None else float(logit[self.rays.inside].max(initial=-math.inf))
+
+    def _felt(self, depth: Depth, degraded: Reason | None) -> Reason | None:
+        """Why a frame without a contact in its map shows a touch all the same; None if it does not, or if glare or
+        another light, which no rest frame had, may have raised the evidence.
+        """
+        limits = self.calibration.rest.get(self.profile.name)
+        if limits is None or (degraded and degraded.code is not ReasonCode.UNTRUSTED):
+            return None
+        found = Evidence(self._greatest_logit(depth), self.changed_part)
+        if not exceeds(found, limits):
+            return None
+        odds = f"log odds of contact {found.logit:.1f}, at rest up to {limits.logit:.1f}"
+        changed = f"{100 * found.changed_part:.0f} % of the picture changed"
+        return Reason(
+            ReasonCode.TOUCH_UNMEASURED,
+            f"something touches, but its depth is unknown: {odds}; {changed}",
         )
 
     def _with_touch(

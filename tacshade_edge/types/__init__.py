@@ -8,6 +8,7 @@ from tacshade_edge.types.calibration import (
     FittedNetwork,
     Polarity,
     ProfileFit,
+    RestLimits,
     TouchModel,
 )
 from tacshade_edge.types.geometry import (
@@ -61,6 +62,7 @@ __all__ += [
     "FittedNetwork",
     "Polarity",
     "ProfileFit",
+    "RestLimits",
     "freeze",
     "frozen",
 ]

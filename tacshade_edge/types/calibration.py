@@ -61,6 +61,18 @@ class Fit:
     profiles: Mapping[str, ProfileFit] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class RestLimits:
+    """What a profile's evidence of a touch exceeds in at most a part of the frames in which nothing touches, measured
+    on images of the untouched skin (`core.contact.rest`).
+    """
+
+    frames: Annotated[int, Meta(ge=1, le=10**9)]  # number of those images
+    false_contacts: Annotated[float, Meta(gt=0, lt=1)]  # that part
+    logit: Coordinate  # greatest log odds of contact in the disc
+    changed_part: Annotated[float, Meta(ge=0, lt=_MOST)]  # part of the picture
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:
     """A profile's network, trained further on a twin of the sensor (``calibrate --fit``). Errors are of h on presses,
@@ -206,6 +218,9 @@ class Calibration:
     touch: Mapping[str, TouchModel] = field(
         default_factory=dict
     )  # by profile (``calibrate --labels``)
+    rest: Mapping[str, RestLimits] = field(
+        default_factory=dict
+    )  # by profile (``calibrate --rest``)
     flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = (
         IDENTITY_POSE
     )

@@ -30,15 +30,17 @@ from support.soundness import everything
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.contact.objects import two_means_split
+from tacshade_edge.core.contact.rest import Evidence
 from tacshade_edge.core.depth.learned import HEIGHT_SCALE, fold
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.profiles import KMEANS, LADDER, NETWORK, PROFILES, profile_with
 from tacshade_edge.core.reconstruct import STAGES, Reconstructor
 from tacshade_edge.inference.network import load_network, make_reconstructor
+from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.types import F32, F64, U8, Frame, Need, Reconstruction
+from tacshade_edge.types import F32, F64, U8, Frame, Need, Reconstruction, RestLimits
 from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import released
 
@@ -348,6 +350,70 @@ def test_what_a_release_leaves_in_the_skin_is_no_contact() -> None:
         left = released(simulated(HALF), (Press(OBJECTS["ball"](), x_mm, 0.0, 4.0),), 0.05, 3)
         assert left.skin.height_mm.max() >= 0.2
         assert not step("accurate", left.image).contact
+
+
+def with_limits(
+    logit: float, changed_part: float = 0.9, profile: str = "fast", model: SensorModel = HALF
+) -> Reconstructor:
+    limits = RestLimits(60, 1e-4, logit, changed_part)
+    return make_reconstructor(
+        replace(calibrated(model, 0), rest={profile: limits}), PROFILES[profile]
+    )
+
+
+def test_evidence_beyond_rest_is_a_touch_of_unknown_depth() -> None:
+    faint = Frame(0, 0, 0, pressed("ball", 0.1, HALF, 2.0).image)
+    unmoved = with_limits(50.0).step(faint)
+    assert (unmoved.contact, unmoved.touched, unmoved.degraded) == (False, False, None)
+    made = with_limits(-7.0)
+    for _ in range(2):  # the second is unchanged, and no less a touch
+        result = made.step(faint)
+        assert_nothing(result, made.rays.inside)
+        assert result.valid
+        assert result.touched
+        assert result.degraded is not None
+        assert result.degraded.code is ReasonCode.TOUCH_UNMEASURED
+    assert made.step(faint, need=Need.CONTACT) is not None
+    free = made.step(Frame(1, 0, 0, unloaded()))
+    assert (free.touched, free.contact, free.degraded) == (False, False, None)
+
+
+def test_a_changed_picture_without_a_map_is_a_touch() -> None:
+    said = np.full((2, disc_map.CELLS, disc_map.CELLS), -9, np.float32)
+    limits = {"balanced": RestLimits(60, 1e-4, -2.0, 0.3)}
+    made = Reconstructor(
+        replace(calibrated(HALF, 0), rest=limits), PROFILES["balanced"], saying(fold(said, 4))
+    )
+    assert made.step(Frame(0, 0, 0, pressed("ball", 2.0).image)).touched
+    assert not made.step(Frame(0, 0, 0, pressed("ball", 0.3).image)).touched
+
+
+def test_a_contact_with_a_map_stays_one() -> None:
+    for limit in (-20.0, 50.0):
+        result = with_limits(limit).step(Frame(0, 0, 0, pressed("ball", 1.0).image))
+        assert result.contact
+        assert not result.touched
+
+
+def test_what_glare_raises_is_no_touch() -> None:
+    made = with_limits(-20.0, 0.0)
+    assert made.step(Frame(0, 0, 0, pressed("ball", 0.1, HALF, 2.0).image)).touched
+    result = made.step(Frame(0, 0, 0, camera_faults.glare(unloaded(), 118, 140, 14)))
+    assert not result.touched
+    assert result.degraded is not None
+    assert result.degraded.code is ReasonCode.GLARE
+
+
+def test_evidence_is_measured_of_an_image_behind_the_gate() -> None:
+    made = with_limits(0.0)
+    free, touched = made.evidence(unloaded()), made.evidence(pressed("ball", 1.0).image)
+    assert isinstance(free, Evidence)
+    assert isinstance(touched, Evidence)
+    assert free.logit < -5 < 0 < touched.logit
+    assert free.changed_part < 0.03 < touched.changed_part
+    black = made.evidence(np.zeros_like(unloaded()))
+    assert isinstance(black, Reason)
+    assert isinstance(made.evidence(unloaded()[:-2]), Reason)
 
 
 def peak_bytes(made: Reconstructor, frame: Frame) -> tuple[Reconstruction, int]:

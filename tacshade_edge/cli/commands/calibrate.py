@@ -16,6 +16,13 @@ import numpy as np
 
 from tacshade_edge.cli.shared.options import add_flag, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.cli.shared.rest import (
+    add_rest,
+    rest_lines,
+    rest_of,
+    rest_report,
+    rest_warnings,
+)
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
@@ -34,6 +41,7 @@ from tacshade_edge.inference.network import (
     load_networks,
     report_lines,
 )
+from tacshade_edge.inference.rest import LearntRest
 from tacshade_edge.quoting import counted
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.render import project
@@ -89,8 +97,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
     )
     add_option(
-        parser, "--labels", "LABELS.csv", "learn quantities from the labelled frames in this table"
+        parser, "--labels", "LABELS.csv", "learn quantities from this table's labelled frames"
     )
+    add_rest(parser)
     add_option(parser, "--out", "CAL.npz", "calibration file to write", required=True)
     add_option(
         parser,
@@ -106,6 +115,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit or re-zero, write the calibration file, and print its quality."""
+    if args.false_contacts is not None and args.rest is None:
+        args.parser.error("--false-contacts has no effect without --rest")
     if args.rezero is not None:
         for option, kept in _WITH_REZERO.items():
             if getattr(args, option):
@@ -153,7 +164,8 @@ def run(args: argparse.Namespace) -> int:
         calibration = fitted.calibration
     touch = _learn(calibration, args.labels, labelled) if labelled else []
     learnt = {one.profile: one.learnt.model for one in touch if one.learnt.model is not None}
-    calibration = replace(calibration, touch=learnt)
+    rest = rest_of(args, calibration, references) if args.rest else None
+    calibration = replace(calibration, touch=learnt, rest=rest.limits if rest else {})
     stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
     quality = result.quality
     more: dict[str, Any] = {
@@ -162,9 +174,11 @@ def run(args: argparse.Namespace) -> int:
         "to_do": list(quality.advice),
     }
     more |= (_fit_report(fitted) if fitted else {}) | (_touch_report(touch) if touch else {})
-    _print(args, stored, (*notes, *result.warnings, *_touch_warnings(touch)), more)
+    more |= rest_report(rest) if rest else {}
+    warnings = (*notes, *result.warnings, *_touch_warnings(touch))
+    _print(args, stored, (*warnings, *(rest_warnings(rest) if rest else ())), more)
     if not args.json:
-        for line in (line for one in touch for line in report_lines(one)):
+        for line in (*(line for one in touch for line in report_lines(one)), *_of(rest)):
             print(line)
         print(f"{'as shipped, ' if fitted else ''}{quality.line}")
         if used := calibration.fit and calibration.fit.profiles.get(DEFAULT):
@@ -175,6 +189,10 @@ def run(args: argparse.Namespace) -> int:
         for advice in (*(fitted.advice if fitted else ()), *quality.advice):
             print(f"  to do: {advice}")
     return 1 if fitted and not fitted.networks else 0
+
+
+def _of(rest: LearntRest | None) -> list[str]:
+    return rest_lines(rest) if rest else []
 
 
 def _plot(path: Path, picture: U8) -> None:
@@ -226,8 +244,16 @@ def _rezero(args: argparse.Namespace) -> int:
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     names = {"moved_px": 2, "light": 3, "contrast": 3}
     changed = {name: round(getattr(found, name), digits) for name, digits in names.items()}
+    more: dict[str, Any] = {**changed}
+    rest = rest_of(args, renewed, images) if args.rest else None
+    if rest:
+        renewed = replace(renewed, rest=rest.limits)
+        warnings += rest_warnings(rest)
+        more |= rest_report(rest)
     stored = calibration_file.save(args.out, renewed, inputs and with_new_reference(inputs, images))
-    _print(args, stored, warnings, changed)
+    _print(args, stored, warnings, more)
+    for line in () if args.json else _of(rest):
+        print(line)
     return 0
 
 

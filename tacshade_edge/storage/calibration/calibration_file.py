@@ -85,10 +85,13 @@ def _fit(figures: Any) -> Fit | None:
 
 def _content(calibration: Calibration) -> Content:
     meta, arrays = parts_of(
-        replace(calibration, fit=None, fitted={}, touch={}, known={}, crc32=0), kept=_ALWAYS
+        replace(calibration, fit=None, fitted={}, touch={}, rest={}, known={}, crc32=0),
+        kept=_ALWAYS,
     )
     del meta["image_height_px"], meta["image_width_px"]  # as the images'
     meta |= {"version": VERSION, "fit": fit_figures(calibration.fit)}
+    if calibration.rest:
+        meta["rest"] = {name: asdict(limits) for name, limits in calibration.rest.items()}
     for name, fitted in calibration.fitted.items():
         meta.setdefault("fitted", {})[name], parts = parts_of(fitted)
         arrays[f"fitted_{name}"] = parts["weights"]
@@ -182,6 +185,8 @@ def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
             path,
         )
         meta |= {"factors": {}, "fit": {}, "error_scales": {}}
+    if version != VERSION:
+        meta.pop("rest", None)  # of other networks
     shapes = {array.shape for name, array in arrays.items() if name in REFERENCE_ARRAYS}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape:
         raise ValueError(

@@ -267,6 +267,74 @@ def test_rezero_keeps_all_but_the_reference(
     assert after.reference_grey.mean() < 0.8 * before.reference_grey.mean()
 
 
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the untouched sensor."""
+    folder = tmp_path_factory.mktemp("rest")
+    for k in range(10):
+        cv2.imwrite(str(folder / f"rest_{k}.png"), simulated().frame((), 500 + k).image)
+    return folder
+
+
+def test_the_untouched_sensor_shows_where_a_touch_begins(
+    alone: list[str], resting: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, renewed = tmp_path / "cal.npz", tmp_path / "renewed.npz"
+    command = ["calibrate", *alone, "--out", str(out), "--rest", str(resting)]
+    assert main(command) == 0
+    assert "one untouched frame in 10,000 is taken for a touch" in capsys.readouterr().out
+    assert main([*command, "--false-contacts", "0.01", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)["rest"]
+    limits = calibration_file.load(out).rest
+    assert said.keys() == limits.keys() == {"fast", "balanced", "accurate"}
+    for name, limit in limits.items():
+        assert (limit.frames, limit.false_contacts) == (10 + 5, 0.01)
+        assert said[name]["logit"] == pytest.approx(limit.logit, abs=1e-3)
+        assert -14 < limit.logit < 0
+    rezero = ["calibrate", "--rezero", str(out), *alone[2:], "--out", str(renewed)]
+    assert main(rezero) == 0
+    assert calibration_file.load(renewed).rest == limits
+    assert main([*rezero, "--rest", str(resting)]) == 0
+    assert calibration_file.load(renewed).rest["fast"].false_contacts == 1e-4
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--rest", "none"], r"none: "),
+        (["--rest", "few"], r"--rest: .*few: found 2 usable images .*, expected at least 8"),
+        (["--rest", "small"], r"--rest: .*small: found 0 usable images"),
+    ],
+)
+def test_a_rest_that_shows_nothing_is_refused(
+    alone: list[str],
+    resting: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    more: list[str],
+    message: str,
+) -> None:
+    for name, count in (("few", 2), ("small", 9)):
+        (tmp_path / name).mkdir()
+        for path in sorted(resting.iterdir())[:count]:
+            image = read_image(path)
+            cv2.imwrite(str(tmp_path / name / path.name), image if count == 2 else image[::2])
+    words = [*alone[:4], "--out", str(tmp_path / "cal.npz"), more[0], str(tmp_path / more[1])]
+    assert re.search(message, refused(["calibrate", *words], capsys))
+
+
+@pytest.mark.parametrize(
+    "more", [["--false-contacts", "0.1"], ["--rest", "x", "--false-contacts", "2"]]
+)
+def test_a_rate_needs_a_rest_and_bounds(
+    alone: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["calibrate", *alone, "--out", str(tmp_path / "cal.npz"), *more])
+    assert stopped.value.code == 2
+    assert "--false-contacts" in capsys.readouterr().err
+
+
 def test_rezero_refuses_in_one_line(
     alone: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,15 @@ from tacshade_edge.factories import calibrations
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.storage.npz import Content
-from tacshade_edge.types import Calibration, Fit, FittedNetwork, Geometry, ProfileFit, TouchModel
+from tacshade_edge.types import (
+    Calibration,
+    Fit,
+    FittedNetwork,
+    Geometry,
+    ProfileFit,
+    RestLimits,
+    TouchModel,
+)
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
@@ -43,6 +51,7 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
     for k, calibration in enumerate(
         (
             replace(painted_calibration(), error_scales={"fast": 1.25, "balanced": 0.5}),
+            replace(painted_calibration(), rest={"fast": RestLimits(60, 1e-4, -6.5, 0.3)}),
             replace(painted_calibration(), flange_T_sensor=(1.5, -2.0, 30.0, 0.6, 0.0, 0.8, 0.0)),
             replace(
                 painted_calibration(),

@@ -1,0 +1,74 @@
+"""Where a touch begins, from frames in which nothing touches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.core.contact.gate import SURE_PART
+from tacshade_edge.core.contact.rest import (
+    LEAST_FRAMES,
+    Evidence,
+    exceeds,
+    limits_of,
+    upper_bound,
+)
+
+
+@pytest.mark.parametrize(("count", "rate"), [(8, 0.02), (20, 0.005), (200, 0.002)])
+def test_an_exponential_tail_is_exceeded_at_the_stated_rate(count: int, rate: float) -> None:
+    rng = np.random.default_rng(1)
+    trials = 4000
+    rest = rng.exponential(size=(trials, count))
+    # The chance that the next value exceeds a bound is known, so that no draw of it adds noise.
+    chances = [np.exp(-max(upper_bound(some, rate), 0.0)) for some in rest]
+    assert np.mean(chances) == pytest.approx(rate, rel=0.15)
+
+
+@pytest.mark.parametrize("count", [17, 60, 300])
+def test_greatest_values_of_a_noisy_map_exceed_it_more_rarely(count: int) -> None:
+    rng = np.random.default_rng(2)
+    rate = 1e-3
+    exceeded = []
+    for _ in range(40):
+        maps = rng.normal(size=(count + 2000, 100)).max(axis=1)
+        exceeded.append(np.mean(maps[count:] > upper_bound(maps[:count], rate)))
+    assert np.mean(exceeded) <= rate
+
+
+def test_enough_frames_need_no_assumption() -> None:
+    values = np.random.default_rng(3).permutation(999)
+    assert upper_bound(values, 0.001) == 998
+    assert upper_bound(values, 0.01) == 989
+    assert upper_bound(values, 0.1) == 899
+
+
+@given(
+    st.lists(st.floats(-50, 50), min_size=2, max_size=60),
+    st.floats(1e-8, 0.1),
+)
+def test_a_bound_is_finite_and_falls_with_the_rate(values: list[float], rate: float) -> None:
+    bound = upper_bound(values, rate)
+    assert np.isfinite(bound)
+    assert bound >= upper_bound(values, min(10 * rate, 0.5)) - 1e-9
+
+
+def test_few_frames_give_no_limits() -> None:
+    some = [Evidence(-9.0 + 0.1 * k, 0.01) for k in range(LEAST_FRAMES)]
+    assert limits_of(some[1:], 1e-4) is None
+    limits = limits_of(some, 1e-4)
+    assert limits is not None
+    assert (limits.frames, limits.false_contacts) == (LEAST_FRAMES, 1e-4)
+
+
+def test_either_evidence_shows_a_touch() -> None:
+    rng = np.random.default_rng(4)
+    some = [Evidence(-10 + 0.2 * rng.normal(), 0.02 + 0.002 * rng.normal()) for _ in range(100)]
+    limits = limits_of(some, 1e-4)
+    assert limits is not None
+    assert limits.changed_part == SURE_PART
+    assert not any(exceeds(one, limits) for one in some)
+    assert exceeds(Evidence(-5.0, 0.02), limits)
+    assert exceeds(Evidence(-10.0, 0.31), limits)
