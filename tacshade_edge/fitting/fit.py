@@ -24,7 +24,13 @@ from tacshade_edge.core.profiles import DEFAULT, LADDER
 from tacshade_edge.fitting import training
 from tacshade_edge.fitting.explained import LEAST_TOUCHES, LIKELY, Choice, chosen_prints
 from tacshade_edge.fitting.identify import MERGED, identify
-from tacshade_edge.fitting.judge import NetworkReport, judged, skin_radii
+from tacshade_edge.fitting.judge import (
+    LENGTH_UNKNOWN,
+    WHOLE_WAY,
+    NetworkReport,
+    judged,
+    skin_radii,
+)
 from tacshade_edge.fitting.prints import PARAMETERS, Found
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import (
@@ -140,8 +146,9 @@ def fit(
             for seed in range(effort.batches - effort.held_out, effort.batches)
         ]
         unlabelled = choice.touches if choice and touches else None
+        alone = LENGTH_UNKNOWN if prints[0].kind.white_tips else WHOLE_WAY
         made = {
-            name: judged(calibration, presses, unlabelled, held, name, weights[name])
+            name: judged(calibration, presses, unlabelled, held, name, weights[name], alone)
             for name in NAMES
         }
         steps.remove()

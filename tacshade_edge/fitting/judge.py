@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -102,13 +102,14 @@ PARTS = (0.25, 0.5, 0.75, 1.0)
 """Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
 what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
 """
-PART_ALONE = {"accurate": 0.25, "balanced": 0.5, "fast": 0.5}
-"""The part without presses that judge: less for networks that know other skins better."""
+WHOLE_WAY, LENGTH_UNKNOWN = 1.0, 0.5
+"""The part of the way where neither presses nor touches judge: half of it for white pins, because nothing at rest shows
+how long they are. On sensors of other mechanics than the shipped networks learnt, the whole way is best."""
 ALIKE = 1.02
 """Parts that leave at most this many times as much of the touches unexplained as the best one are alike."""
 CLEARLY, TOLERATED = 0.95, 1.1
-"""How much better than `PART_ALONE` another part is on presses that is taken instead, and how much worse than the
-shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged."""
+"""How much better than the part without presses another part is on them that is taken instead, and how much worse than
+the shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +119,9 @@ class NetworkReport:
     `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training did not
     see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network has
     learnt. None without presses; the second also if the fitted network misses more of them. `shipped_left`,
-    `fitted_left`: the part of the touches' changes that the heights leave unexplained; None without touches, or where
-    presses judge.
+    `fitted_left`: the share of the touches' changes that the heights leave unexplained; None without touches, or where
+    presses judge. `part`: of the way from the shipped weights to the trained ones. `left`: the share left at each part
+    that was tried, without touches none.
     """
 
     name: str
@@ -129,6 +131,8 @@ class NetworkReport:
     fitted_presses_mm: float | None = None
     shipped_left: float | None = None
     fitted_left: float | None = None
+    part: float = 1.0
+    left: Mapping[float, float] = field(default_factory=dict)
 
     @property
     def kept(self) -> bool:
@@ -173,9 +177,10 @@ def judged(
     parts: Sequence[Frames],
     name: str,
     weights: F32,
+    alone: float,
 ) -> tuple[FittedNetwork, NetworkReport]:
     """Judge the weights, or the best of `PARTS` of the way to them by presses, or else by touches. `parts`: frames of
-    the twin that training did not see.
+    the twin that training did not see. `alone`: the part without either.
     """
     maps = training.maps_of(calibration, parts, name)
     unit_mm = calibration.geometry.skin_radius_mm * skin_radii(calibration)
@@ -193,13 +198,13 @@ def judged(
         before = on_presses(calibration, PROFILES[name], load_network(name), presses, own)
         if before.errors_mm:
             made = {part: part_of_the_way(part) for part in PARTS}
-            return _by_presses(calibration, presses, before, name, made)
+            return _by_presses(calibration, presses, before, name, made, alone)
     if touches is not None:
         return _by_touches(
             calibration, touches, name, {part: part_of_the_way(part) for part in PARTS}
         )
-    alone = part_of_the_way(PART_ALONE[name])
-    return alone, NetworkReport(name, shipped_mm, alone.error_mm)
+    judged_alone = part_of_the_way(alone)
+    return judged_alone, NetworkReport(name, shipped_mm, judged_alone.error_mm, part=alone)
 
 
 def _by_presses(
@@ -208,13 +213,16 @@ def _by_presses(
     before: OnPresses,
     name: str,
     made: Mapping[float, FittedNetwork],
+    alone: float,
 ) -> tuple[FittedNetwork, NetworkReport]:
     tried = {}
     for part, fitted in made.items():
         after = on_presses(calibration, PROFILES[name], load_network(name, fitted), presses)
         found_mm = after.mean_mm if after.presses >= before.presses else None
         shipped_mm = fitted.shipped_error_mm
-        report = NetworkReport(name, shipped_mm, fitted.error_mm, before.mean_mm, found_mm)
+        report = NetworkReport(
+            name, shipped_mm, fitted.error_mm, before.mean_mm, found_mm, part=part
+        )
         if found_mm is not None:
             fitted = replace(
                 fitted,
@@ -226,7 +234,7 @@ def _by_presses(
             )
         tried[part] = fitted, report
     errors_mm = {part: report.fitted_presses_mm for part, (_, report) in tried.items()}
-    return tried[chosen(errors_mm, PART_ALONE[name])]
+    return tried[chosen(errors_mm, alone)]
 
 
 def _by_touches(
@@ -244,6 +252,8 @@ def _by_touches(
         made[best].error_mm,
         shipped_left=before,
         fitted_left=left[best],
+        part=best,
+        left={0.0: before, **left},
     )
     return made[best], report
 
