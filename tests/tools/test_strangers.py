@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,8 +15,9 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.simulator.render import project
 from tacshade_edge.types import F64
-from tools.studies.strangers import grid, lattices, layered, oblate, solve
+from tools.studies.strangers import evaluate, grid, lattices, layered, oblate, solve
 from tools.studies.strangers.camera import Camera
+from tools.studies.strangers.evaluate import Case, Judged, lines
 from tools.studies.strangers.families import FAMILIES
 from tools.studies.strangers.hexahedra import Layer, Mesh, meshed, stiffness
 from tools.studies.strangers.layered_solver import LayeredSolver, compliance
@@ -226,6 +228,7 @@ def test_an_oblate_skin_passes_through_the_tip_and_the_rim_and_is_flatter_betwee
     assert skin.surface_z(point[0], point[1]) == pytest.approx(point[2])
 
 
+@pytest.mark.slow
 def test_truth_is_the_motion_inwards_of_the_skin_that_a_pixel_sees() -> None:
     camera = Camera("fisheye", 10.0, 350.0, 240.0, 320.0)
     rest = grid.directions(8, 8)[0] * 20.0
@@ -320,3 +323,45 @@ def test_a_layered_skin_yields_and_dents_far_around(tmp_path: Path) -> None:
     np.testing.assert_allclose(kept.stops_mm, states.stops_mm, atol=1e-5)
     inwards = skin.radius_mm - np.linalg.norm(kept.stops_mm[0], axis=1)
     assert 0.6 < inwards.max() < 1.4
+
+
+# -- the study
+
+
+def judged(me_mm: float, dragged: bool = False) -> Judged:
+    return Judged("accurate", "cube", dragged, me_mm, 90.0)
+
+
+def test_a_table_compares_each_sensor_with_itself_as_shipped() -> None:
+    results = {
+        Case("third", "working", number, way): [judged(me_mm), judged(math.nan), judged(1.0, True)]
+        for way, both in (("shipped", (0.4, 0.2)), ("none", (0.2, 0.25)))
+        for number, me_mm in enumerate(both)
+    }
+    (line,) = (
+        cells for cells in lines("third", ("none",), results) if cells[1:3] == ["none", "accurate"]
+    )
+    assert line[3:8] == ["0.225", "0.75", "1.25", "2 of 4", "90"]
+    assert line[8:13] == ["1.000", "1.00", "1.00", "0 of 2", "90"]
+
+
+@pytest.mark.slow
+def test_a_kept_case_is_not_measured_again_unless_the_program_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case("third", "working", 0, "shipped")
+    known = {"program": evaluate.program(), "rows": [], "fit_s": 1.0}
+    case.file(tmp_path).write_text(json.dumps(known))
+    assert list(evaluate.of_cases([case], tmp_path / "none", tmp_path)) == [(case, known)]
+    monkeypatch.setattr(evaluate, "program", lambda: "another")
+    with pytest.raises(FileNotFoundError):  # it is measured, and nothing was solved
+        list(evaluate.of_cases([case], tmp_path / "none", tmp_path))
+
+
+def test_a_wrong_family_or_way_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option, wrong in (("--families", "fourth"), ("--ways", "guesses")):
+        with pytest.raises(SystemExit):
+            evaluate.main(["--states", str(tmp_path), option, wrong])
+        assert f"found '{wrong}', expected one of" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import F64
-from tools.studies.strangers import contact
+from tools.studies.strangers import contact, grid
 from tools.studies.strangers.hexahedra import Layer, Mesh, meshed, stiffness
 from tools.studies.strangers.layered import LayeredSkin
 from tools.studies.strangers.paths import States
@@ -22,11 +22,11 @@ TOUCHABLE_DEG = 52.0
 _TOGETHER = 96
 
 
-def mesh_of(skin: LayeredSkin) -> Mesh:
-    """Fill it with hexahedra."""
-    outer = Layer(skin.skin_mm, SKIN_PARTS, skin.stiffness_ratio, POISSON)
-    gel = Layer(skin.gel_part * skin.radius_mm, GEL_PARTS, 1.0, POISSON)
-    return meshed(skin.radius_mm, (outer, gel))
+def mesh_of(skin: LayeredSkin, finer: int = 0) -> Mesh:
+    """Fill it with hexahedra, with some more of them along every edge of the usual mesh's parts."""
+    outer = Layer(skin.skin_mm, SKIN_PARTS + finer // 3, skin.stiffness_ratio, POISSON)
+    gel = Layer(skin.gel_part * skin.radius_mm, GEL_PARTS + finer // 3, 1.0, POISSON)
+    return meshed(skin.radius_mm, (outer, gel), grid.SQUARE + finer, grid.RINGS + finer)
 
 
 class LayeredSolver:
