@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.capture.change import ChangeFromRest
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import RobotLabels
 from tacshade_edge.capture.scale import ClockOffset, Press, Scale, find_offset, force_at
@@ -19,14 +20,13 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.quoting import counted
 from tacshade_edge.storage.tables.labels import LabelFolder, LabelRow
 from tacshade_edge.storage.tables.tables import number
-from tacshade_edge.types import F32, QUANTITIES, Frame
+from tacshade_edge.types import QUANTITIES, Frame
 
 _REST_S = 3.0
 _KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100  # frames kept of one press
 _POSE_NS = 200_000_000  # the first pose after a frame has arrived by then
 _NO_IMAGE = np.zeros((1, 1), np.uint8)
 _FORCE = "force_z_n"
-_CHANGE_FACTOR, _CHANGE_GREY = 2.0, 0.1  # change above that at rest that counts as contact
 
 _HELP = """  Enter            record a press: press, lift, then Enter; needs a scale or a robot
     NAME=VALUE ...   type readings while you hold still: force_z_n=1.2 depth_mm=0.5; takes one picture
@@ -48,8 +48,7 @@ class LabelSession:
     def __post_init__(self) -> None:
         self._rows = self.folder.rows()
         self._presses: dict[str, Press] = {}  # this run's presses by group
-        self._rest: F32 = np.zeros((1, 1), np.float32)
-        self._rest_change = 0.0
+        self._rest = ChangeFromRest([np.zeros((1, 1), np.float32)])
         self._tare_n = 0.0
         self._unaligned = self._unposed = ""
 
@@ -98,8 +97,7 @@ class LabelSession:
             except ConfigError as error:
                 self.terminal.say(f"  rejected: {error}")
                 continue
-            self._rest = np.mean(blocks, axis=0)
-            self._rest_change = max(self._change(one) for one in blocks)
+            self._rest = ChangeFromRest(blocks)
             if self.scale is None or self._tare(self.scale, since_s):
                 return
 
@@ -112,11 +110,6 @@ class LabelSession:
         self._tare_n = tare_n
         self.terminal.say(f"  tare: the scale reads {tare_n:.4f} N, spread {spread_n:.4f} N")
         return True
-
-    def _change(self, blocks: F32) -> float:
-        """Mean change of a picture from rest in grey levels, without the change that all blocks share (the light)."""
-        change = blocks - self._rest
-        return float(np.abs(change - np.median(change)).mean())
 
     def _typed(self, words: Sequence[str], group: str) -> None:
         try:
@@ -149,14 +142,10 @@ class LabelSession:
             frame = self.live.frame()
             if self.scale is not None:
                 self.scale.check()
-            change = self._change(block_means(to_grey(frame.image)))
-            seen.append((frame.t_ns / 1e9, change))
+            blocks = block_means(to_grey(frame.image))
+            seen.append((frame.t_ns / 1e9, self._rest.grey(blocks)))
             due = not rows or frame.t_ns - (rows[-1].t_ns or 0) >= _KEPT_EVERY_NS
-            if (
-                change > _CHANGE_FACTOR * self._rest_change + _CHANGE_GREY
-                and due
-                and len(rows) < _KEPT_MAX
-            ):
+            if self._rest.in_contact(blocks) and due and len(rows) < _KEPT_MAX:
                 rows.append(
                     LabelRow(self.folder.add_image(np.array(frame.image)), {}, group, frame.t_ns)
                 )

@@ -127,7 +127,7 @@ class Live:
         self._no_pattern = "looking for the disc"
         self._looking = False  # whether the person may be adjusting lens and circle
         self._focus_best = 0.0
-        self._text = ""
+        self._text = self._task = ""
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
 
     def frame(self) -> Frame:
@@ -179,6 +179,17 @@ class Live:
                     f"  the picture still moves ({figures}): clamp the indenter; Enter cancels"
                 )
 
+    def tell(self, task: str) -> None:
+        """Show the person a task and its progress, on the page above the figures and in the terminal."""
+        self._task = task
+        if task:
+            self.terminal.show(task)
+
+    def stands_still(self, seconds: float) -> bool:
+        """Whether the picture has stood still for so long."""
+        motion = self._motion_grey(seconds)
+        return motion is not None and stands_still(motion, self.rest_grey)
+
     def frames(self, count: int, seconds: float) -> list[Frame]:
         """Return `count` frames spread over at least `seconds`."""
         taken = [self.frame()]
@@ -193,10 +204,10 @@ class Live:
         """Whether a visible circle is stated, or found with a pattern in it."""
         return self.circle is not None or self._pattern is not None
 
-    def _motion_grey(self) -> float | None:
-        """Motion within the last `STILL_S`, in grey levels; None until enough frames have come."""
+    def _motion_grey(self, seconds: float = STILL_S) -> float | None:
+        """Motion within the last seconds, in grey levels; None until enough frames have come."""
         newest_ns, _ = self._past[-1]
-        recent = [blocks for t_ns, blocks in self._past if newest_ns - t_ns <= 1e9 * STILL_S]
+        recent = [blocks for t_ns, blocks in self._past if newest_ns - t_ns <= 1e9 * seconds]
         if len(recent) < _LEAST_FRAMES:
             recent = [blocks for _, blocks in self._past][-_LEAST_FRAMES - 1 :]
         if len(recent) == len(self._past) < _PAST_FRAMES:
@@ -222,7 +233,8 @@ class Live:
             self._figures_due_s = now_s + _FIGURES_S
         if now_s >= self._picture_due_s:
             disc = self.circle or (self._pattern.disc if self._pattern else None)
-            self.page.shown = Shown(_jpeg(grey, disc), self._text)
+            text = "\n".join(filter(None, (self._task, self._text)))
+            self.page.shown = Shown(_jpeg(grey, disc), text)
             self._picture_due_s = now_s + _PICTURE_S
 
     def _figures_of(self, grey: U8) -> str:

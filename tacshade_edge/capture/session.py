@@ -1,4 +1,6 @@
-"""The dialogue of a capture: look, references, presses. Every press can be undone, and a later run continues."""
+"""The dialogue of a capture: look, references, rest, touches, presses. Every press can be undone, and a later run
+continues.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import numpy as np
 
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
+from tacshade_edge.capture.unlabelled import Unlabelled
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
@@ -34,7 +37,8 @@ _HELP = """  Press the indenter in and hold it, type what it is, then Enter; the
   Enter alone takes the press suggested in brackets.
     undo [NUMBER]   remove the last press, or that one, and suggest it again
     skip            leave out the suggested press
-    references      take the references again
+    references      take the references again, then rest and touches
+    rest, touches   take these again
     done            end"""
 
 
@@ -58,12 +62,13 @@ class Session:
                 self.plan.remove(one.stated)
 
     def run(self) -> None:
-        """Take references if there are none, then presses until the person ends the run. Raises InputEnded,
-        DeviceError, ConfigError (the folder keeps what was taken before).
+        """Take references, rest and touches if there are none, then presses until the person ends the run. Raises
+        InputEnded, DeviceError, ConfigError (the folder keeps what was taken before).
         """
         images = self.folder.references()
         unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
         self._use(unloaded or self._take_references())
+        self._unlabelled.take_missing()
         while True:
             match self.live.ask(self._prompt()).split():
                 case ["done"]:
@@ -72,6 +77,11 @@ class Session:
                     self.terminal.say(_HELP)
                 case ["references"]:
                     self._use(self._take_references())
+                    self._unlabelled.take_missing()
+                case ["rest"]:
+                    self._unlabelled.take_rest()
+                case ["touches"]:
+                    self._unlabelled.take_touches(anew=True)
                 case ["undo", *numbers]:
                     self._undo(numbers)
                 case ["skip"]:
@@ -85,6 +95,7 @@ class Session:
     def _use(self, unloaded: Calibration) -> None:
         """Judge presses from now on by a calibration from references."""
         self._check = PressCheck(unloaded, load_network(GRADED_PROFILE))
+        self._unlabelled = Unlabelled(self.folder, self.live, self.terminal, self._check.judge)
 
     def _checked_again(self, images: Sequence[U8]) -> Calibration | None:
         try:
@@ -114,6 +125,8 @@ class Session:
                     )
                 continue
             self.folder.write_references(images)
+            self.folder.forget_rest()
+            self.folder.forget_touches()
             self.terminal.say(
                 f"  {REFERENCES} references, noise {unloaded.noise_grey:.2f} grey levels"
             )

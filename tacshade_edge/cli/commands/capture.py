@@ -45,6 +45,8 @@ _QUESTIONS = {
     "camera_distance_mm": "Distance of the lens behind the skin's centre, mm (Enter if unknown):",
     "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
 }
+LEAST_TOUCHES = 8
+"""What `calibrate --touches` needs (`fitting.explained`, which imports what only a fit needs)."""
 _MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
 _CAPTURING = Reason(
     ReasonCode.NOT_CALIBRATED,
@@ -254,11 +256,16 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
     words = (
         f"tacshade-edge calibrate --sensor {at}/{folder.sensor.name} --reference {at}/{REFERENCES}"
     )
+    if folder.rest_pictures():
+        words += f" --rest {at}/{folder.rest.name}"
     if not list(folder.path.glob(REFERENCES)):
         terminal.say(f"no references yet; to take them, run: tacshade-edge capture {at}")
         if not labels:
             return
     taken = [] if labels else folder.taken()
+    fit = "" if labels else " --fit"
+    if not labels and len(folder.touch_pictures()) >= LEAST_TOUCHES:
+        fit += f" --touches {at}/{folder.touches.name}"
     if labels:
         words += f" --labels {at}/{LABELS}"
     elif len(taken) >= MIN_PRESSES:
@@ -268,5 +275,5 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
     else:
         more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
         terminal.say(f"{counted(len(taken), 'press')}: {more}")
-    calibrate = f"{'next:' if labels else NEXT_FIT}\n  {words}{'' if labels else ' --fit'} --out {at}/{_CALIBRATION}"
+    calibrate = f"{'next:' if labels else NEXT_FIT}\n  {words}{fit} --out {at}/{_CALIBRATION}"
     terminal.say(f"{calibrate}\n  tacshade-edge run --config {at}/{folder.settings.name}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.atomic_files import disk_errors, write_whole
+from tacshade_edge.storage.atomic_files import disk_errors, part, sync, write_whole
 from tacshade_edge.storage.images import number_in, png, read_image
 from tacshade_edge.storage.tables.presses import HEADER, MORE, Stated, press_rows, stated_columns
 from tacshade_edge.storage.tables.tables import csv_bytes
@@ -15,6 +16,7 @@ from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
 REFERENCES = "reference_*.png"
+REST, TOUCHES = "rest", "touches"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,7 @@ class CaptureFolder:
         self.path = path
         self.sensor, self.settings = path / SENSOR, path / SETTINGS
         self.presses, self.indenters = path / PRESSES, path / INDENTERS
+        self.rest, self.touches = path / REST, path / TOUCHES
 
     def make(self) -> None:
         """Make the folder if it does not exist."""
@@ -62,6 +65,57 @@ class CaptureFolder:
                 path.unlink()
             for k, image in enumerate(images):
                 write_whole(self.path / f"reference_{k:02d}.png", png(image))
+
+    def rest_pictures(self) -> list[Path]:
+        """The pictures of the untouched sensor, in order."""
+        return sorted(self.rest.glob("rest_*.png"))
+
+    def touch_pictures(self) -> list[Path]:
+        """The pictures of touches without a label, in order."""
+        return sorted(self.touches.glob("touch_*.png"))
+
+    def picture(self, path: Path) -> U8:
+        """One of these pictures. Raises ConfigError."""
+        try:
+            return read_image(path)
+        except DecodeError as error:
+            raise ConfigError(str(error)) from None
+
+    def begin_rest(self) -> None:
+        """Begin to record the untouched sensor; what an interrupted recording left is removed."""
+        with disk_errors(self.path):
+            shutil.rmtree(part(self.rest), ignore_errors=True)
+            part(self.rest).mkdir()
+
+    def add_rest(self, number: int, image: U8) -> None:
+        """Add a picture to the recording that was begun."""
+        with disk_errors(self.path):
+            write_whole(part(self.rest) / f"rest_{number:03d}.png", png(image), sync=False)
+
+    def finish_rest(self) -> None:
+        """Put the recording in the place of an earlier one."""
+        partial = part(self.rest)
+        with disk_errors(self.path):
+            for path in partial.iterdir():
+                sync(path)
+            self.forget_rest()
+            partial.rename(self.rest)
+            sync(self.path)
+
+    def add_touch(self, image: U8) -> None:
+        """Add a picture of a touch."""
+        number = len(self.touch_pictures()) + 1
+        with disk_errors(self.path):
+            self.touches.mkdir(exist_ok=True)
+            write_whole(self.touches / f"touch_{number:02d}.png", png(image))
+
+    def forget_rest(self) -> None:
+        """Remove the recording of the untouched sensor."""
+        shutil.rmtree(self.rest, ignore_errors=True)
+
+    def forget_touches(self) -> None:
+        """Remove the touches without a label."""
+        shutil.rmtree(self.touches, ignore_errors=True)
 
     def taken(self) -> list[TakenPress]:
         """The rows of PRESSES.csv; none without a table. Raises ConfigError."""

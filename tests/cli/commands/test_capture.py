@@ -11,6 +11,7 @@ import pytest
 from support.person import Person, person
 
 from tacshade_edge.cli import main
+from tacshade_edge.cli.commands.capture import LEAST_TOUCHES
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.settings import load
@@ -53,6 +54,21 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
         one.hears("Enter takes 10 references.")
         one.types("")
         one.hears("10 references, noise")
+        one.hears("of the untouched sensor show where a touch begins")
+        one.hears("skip leaves it out:")
+        one.types("")
+        one.hears("untouched sensor: 6 of 45 s")
+        one.types("")
+        one.hears("of the untouched sensor in ")
+        one.hears("20 touches of anything, anywhere")
+        one.types("")
+        one.hears("touch 1 of 20: touch the skin")
+        press("ball,6,2.5,-4,2")
+        one.hears("touch 2 of 20: touch elsewhere")
+        press()
+        one.hears("touch 2 of 20: touch the skin")
+        one.types("")
+        one.hears("1 unlabelled touch")
         one.hears("press 1, 2 planned presses left [ball of 6 mm, 2.5 mm deep at x 1, y -3 mm]:")
         one.types("")
         one.hears("not taken: nothing touches the skin")
@@ -88,8 +104,15 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
         one.hears("press 2, 1 planned press left [ball of 4 mm")
         one.process.terminate()
         one.ends()
+    folder = CaptureFolder(out)
+    assert len(folder.rest_pictures()) >= 20
+    (touch,) = folder.touch_pictures()
+    for _ in range(LEAST_TOUCHES - 1):
+        folder.add_touch(folder.picture(touch))
     with person(str(out), "--plan", str(plan)) as one:  # goes on, with the same camera
         one.hears("this folder already has 10 references and 1 press\r\n")
+        one.hears("20 touches of anything, anywhere")
+        one.types("skip")
         one.hears("press 2, 1 planned press left [ball of 4 mm, 2 mm deep at x -5, y 2 mm]:")
         one.types("skip")
         one.hears("press 2 (ball RADIUS_MM")
@@ -98,12 +121,11 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
         one.types("done")
         assert one.ends() == 0
         assert (
-            f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png --fit --out"
-            in one.heard
+            f"--sensor '{out}'/SENSOR.yaml --reference '{out}'/reference_*.png "
+            f"--rest '{out}'/rest --fit --touches '{out}'/touches --out" in one.heard
         )
         assert f"\r\n  tacshade-edge run --config '{out}'/config.yaml\r\n" in one.heard
         assert "2 presses: " in one.heard
-    folder = CaptureFolder(out)
     presses, _ = read_presses(folder.presses)
     assert [(one.radius_mm, one.depth_mm, one.x_mm, one.y_mm) for one in presses] == [
         (6, 2.5, 1, -3)
@@ -112,6 +134,11 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
     assert settings.calibration == str(out / "calibration.npz")
     assert settings.recorder.folder == str(out / "recordings")  # the default is the service's
     calibrate(read_sensor(folder.sensor), folder.references())
+
+
+def test_as_many_touches_are_passed_on_as_a_fit_needs() -> None:
+    explained = pytest.importorskip("tacshade_edge.fitting.explained", exc_type=ImportError)
+    assert explained.LEAST_TOUCHES == LEAST_TOUCHES
 
 
 NO_POSE = "not taken: the robot reported no pose for this picture"
@@ -152,6 +179,9 @@ def test_a_robot_states_place_and_depth(
     ):
         one.hears("Enter takes 10 references.")
         one.types("")
+        for _ in ("rest", "touches"):
+            one.hears("skip leaves it out:")
+            one.types("skip")
         one.hears("press 1 (ball")
         robot.ask("CAPTURE")
         wait_until(
