@@ -9,17 +9,20 @@ from typing import Any, overload
 
 import numpy as np
 
+from tacshade_edge.core.contact.detection import TouchDetector
 from tacshade_edge.core.contact.gate import (
     SURE_PART,
     ContactGate,
     UnchangedSkin,
     gate_preprocessor,
 )
-from tacshade_edge.core.contact.objects import contact_of, find_objects
-from tacshade_edge.core.contact.rest import Evidence, exceeds
+from tacshade_edge.core.contact.motion import WhiteChange
+from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
+from tacshade_edge.core.contact.rest import Evidence
 from tacshade_edge.core.contact.tracking import ContactTracker, follow
 from tacshade_edge.core.depth import SOLVERS, Depth, Network
 from tacshade_edge.core.depth.base import Mark
+from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.core.frame_check import (
     Judges,
@@ -30,7 +33,7 @@ from tacshade_edge.core.frame_check import (
     skin,
 )
 from tacshade_edge.core.geometry.disc_map import rays_in_image
-from tacshade_edge.core.image.preprocess import Preprocessor
+from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.core.profiles import NETWORK, Profile
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -117,6 +120,11 @@ class Reconstructor:
             np.float32
         )
         self._zero_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2)
+        self._detector: TouchDetector | None = None
+        if isinstance(self._solver, LearnedSolver):
+            limits = calibration.rest.get(profile.name)
+            change = WhiteChange(self._solver.fine_reference, self._solver.fine_inside)
+            self._detector = TouchDetector(change, self.rays.inside, limits)
         self._sigma = None if network is None else network.sigma
         self._nothing = Reconstruction(
             seq=0,
@@ -184,6 +192,8 @@ class Reconstructor:
             return self._empty(frame, degraded=degraded)
 
         if need == Need.CONTACT and changed_part >= SURE_PART:
+            if self._detector is not None:
+                self._detector.contact(frame.t_ns, math.inf)  # nobody asks how deep
             return None
 
         features: list[F32] | None = (
@@ -222,13 +232,14 @@ class Reconstructor:
                 self.calibration.geometry,
                 depth.contact_logit,
             )
+        found = self._beside_map(frame, preprocessed, depth, objects, degraded)
         mark("cloud")
-        if objects is None:
-            felt = self._felt(depth, degraded)
-            made = self._empty(frame, degraded=felt or degraded, touched=felt is not None)
+        if objects is None or found:
+            touched = found is not None and found.code is ReasonCode.TOUCH_UNMEASURED
+            made = self._empty(frame, degraded=found or degraded, touched=touched)
             if features:  # a model of labels may know a touch that the map does not show
                 return self._with_touch(made, features, mark)
-            if quiet and felt is None:
+            if quiet and not found and self._relaxed(frame):
                 self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
             return made
         if need == Need.CONTACT:
@@ -283,35 +294,47 @@ class Reconstructor:
         )
 
     def evidence(self, image: U8) -> Evidence | Reason:
-        """What speaks for a touch in an image, or why the image is invalid or degraded; the gate is not asked."""
+        """What speaks for a touch in an image, or why the image is invalid or degraded; the gate is
+        not asked, and the profile must have a network.
+        """
         if reason := size_reason(image, self._shape) or first_reason(self.measured(image)):
             return reason
         seen = self._seen.preprocess(self._seen.grey(image))
         drift_grey = self._seen.drift_grey(self._seen.ratio(seen.white))
         degraded = picture.degraded_reason(seen.unseen, drift_grey)
         changed_part = self._gate.changed_part(seen)
-        return degraded or Evidence(self._greatest_logit(self.depth(image)), changed_part)
+        own = self._preprocessor.preprocess(self._preprocessor.grey(image))
+        assert isinstance(self._solver, LearnedSolver)
+        assert self._detector is not None
+        depth, white = self._solver.solve(own, no_mark), self._solver.fine_white(own)
+        return degraded or self._detector.evidence(depth, white, changed_part)
 
-    def _greatest_logit(self, depth: Depth) -> float:
-        logit = depth.contact_logit
-        return -math.inf if logit is None else float(logit[self.rays.inside].max(initial=-math.inf))
-
-    def _felt(self, depth: Depth, degraded: Reason | None) -> Reason | None:
-        """Why a frame without a contact in its map shows a touch all the same; None if it does not, or if glare or
-        another light, which no rest frame had, may have raised the evidence.
+    def _beside_map(
+        self,
+        frame: Frame,
+        preprocessed: Preprocessed,
+        depth: Depth,
+        objects: Objects | None,
+        degraded: Reason | None,
+    ) -> Reason | None:
+        """Why a frame is another than its map shows: a touch that it does not show, or a contact
+        that is the tip's motion. Glare and another light may raise the evidence of a touch.
         """
-        limits = self.calibration.rest.get(self.profile.name)
-        if limits is None or (degraded and degraded.code is not ReasonCode.UNTRUSTED):
+        solver, detector = self._solver, self._detector
+        if detector is None or not isinstance(solver, LearnedSolver):
             return None
-        found = Evidence(self._greatest_logit(depth), self.changed_part)
-        if not exceeds(found, limits):
-            return None
-        odds = f"log odds of contact {found.logit:.1f}, at rest up to {limits.logit:.1f}"
-        changed = f"{100 * found.changed_part:.0f} % of the picture changed"
-        return Reason(
-            ReasonCode.TOUCH_UNMEASURED,
-            f"something touches, but its depth is unknown: {odds}; {changed}",
-        )
+        white = solver.fine_white(preprocessed)
+        if objects is None:
+            if degraded and degraded.code is not ReasonCode.UNTRUSTED:
+                return None
+            return detector.felt(frame.t_ns, depth, white, self.changed_part)
+        moving = detector.moving(depth, white)
+        if moving is None:
+            detector.contact(frame.t_ns, max(each.depth_max_mm for each in objects.described))
+        return moving
+
+    def _relaxed(self, frame: Frame) -> bool:
+        return self._detector is None or self._detector.relaxed(frame.t_ns)
 
     def _with_touch(
         self, made: Reconstruction, features: list[F32] | None, mark: Mark

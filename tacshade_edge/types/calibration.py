@@ -69,8 +69,9 @@ class RestLimits:
 
     frames: Annotated[int, Meta(ge=1, le=10**9)]  # number of those images
     false_contacts: Annotated[float, Meta(gt=0, lt=1)]  # that part
-    logit: Coordinate  # greatest log odds of contact in the disc
-    changed_part: Annotated[float, Meta(ge=0, lt=_MOST)]  # part of the picture
+    height_mm: Annotated[float, Meta(ge=0, lt=_MOST)]  # of the most pressed part of the disc
+    local_change: Coordinate  # of the share of white, beyond motion of the whole pattern
+    changed_part: Annotated[float, Meta(ge=0, lt=_MOST)]  # of the picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

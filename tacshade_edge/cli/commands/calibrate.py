@@ -41,7 +41,6 @@ from tacshade_edge.inference.network import (
     load_networks,
     report_lines,
 )
-from tacshade_edge.inference.rest import LearntRest
 from tacshade_edge.quoting import counted
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.simulator.render import project
@@ -178,7 +177,9 @@ def run(args: argparse.Namespace) -> int:
     warnings = (*notes, *result.warnings, *_touch_warnings(touch))
     _print(args, stored, (*warnings, *(rest_warnings(rest) if rest else ())), more)
     if not args.json:
-        for line in (*(line for one in touch for line in report_lines(one)), *_of(rest)):
+        for line in (line for one in touch for line in report_lines(one)):
+            print(line)
+        for line in rest_lines(rest, calibration, result.presses) if rest else ():
             print(line)
         print(f"{'as shipped, ' if fitted else ''}{quality.line}")
         if used := calibration.fit and calibration.fit.profiles.get(DEFAULT):
@@ -189,10 +190,6 @@ def run(args: argparse.Namespace) -> int:
         for advice in (*(fitted.advice if fitted else ()), *quality.advice):
             print(f"  to do: {advice}")
     return 1 if fitted and not fitted.networks else 0
-
-
-def _of(rest: LearntRest | None) -> list[str]:
-    return rest_lines(rest) if rest else []
 
 
 def _plot(path: Path, picture: U8) -> None:
@@ -252,7 +249,7 @@ def _rezero(args: argparse.Namespace) -> int:
         more |= rest_report(rest)
     stored = calibration_file.save(args.out, renewed, inputs and with_new_reference(inputs, images))
     _print(args, stored, warnings, more)
-    for line in () if args.json else _of(rest):
+    for line in rest_lines(rest, renewed) if rest and not args.json else ():
         print(line)
     return 0
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from tacshade_edge.cli.shared.options import add_option
+from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.inference.rest import FALSE_CONTACTS, LearntRest, learn_rest
 from tacshade_edge.storage.recording.recording import Entry, Recording
-from tacshade_edge.types import U8, Calibration
+from tacshade_edge.types import U8, Calibration, Frame
 
 IMAGES_MAX = 300
 """More are thinned evenly: neighbours in a stream show the same, and each takes 20 ms."""
@@ -76,7 +80,8 @@ def rest_report(learnt: LearntRest) -> dict[str, Any]:
             name: {
                 "frames": limits.frames,
                 "false_contacts": limits.false_contacts,
-                "logit": round(limits.logit, 3),
+                "height_mm": round(limits.height_mm, 4),
+                "local_change": round(limits.local_change, 4),
                 "changed_part": round(limits.changed_part, 4),
             }
             for name, limits in learnt.limits.items()
@@ -84,13 +89,26 @@ def rest_report(learnt: LearntRest) -> dict[str, Any]:
     }
 
 
-def rest_lines(learnt: LearntRest) -> list[str]:
-    """The result in words."""
-    frames = min(limits.frames for limits in learnt.limits.values())
-    one_in = round(1 / next(iter(learnt.limits.values())).false_contacts)
-    return [
-        f"rest: {frames} frames; at most one untouched frame in {one_in:,} is taken for a touch"
+def rest_lines(
+    learnt: LearntRest, calibration: Calibration, presses: Sequence[KnownPress] = ()
+) -> list[str]:
+    """The result in words, with what the default profile finds of the presses."""
+    limits = learnt.limits[DEFAULT]
+    one_in = round(1 / limits.false_contacts)
+    lines = [
+        f"rest: {limits.frames} frames; at most one untouched frame in {one_in:,} is taken for a touch",
+        f"  {DEFAULT} reports a touch from {limits.height_mm:.2f} mm of its own heights on,"
+        " which may be less than the true ones on a skin that it does not know",
     ]
+    if presses:
+        made = make_reconstructor(replace(calibration, rest=learnt.limits), PROFILES[DEFAULT])
+        results = [(made.step(Frame(0, 0, 0, press.image)), press.depth_mm) for press in presses]
+        missed_mm = [depth for one, depth in results if not (one.contact or one.touched)]
+        deepest = f", the deepest missed one of {max(missed_mm):.2f} mm" if missed_mm else ""
+        shallowest = f"the shallowest one of {min(depth for _, depth in results):.2f} mm"
+        found = f"{len(results) - len(missed_mm)} of {len(results)} presses"
+        lines.append(f"  it finds {found} ({shallowest}{deepest})")
+    return lines
 
 
 def rest_warnings(learnt: LearntRest) -> tuple[str, ...]:

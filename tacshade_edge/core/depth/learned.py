@@ -129,15 +129,22 @@ class LearnedSolver:
         whole = disc_map.map_grid(calibration.geometry.disc, shear.cells)
         same = shear.cells == profile.cells
         self._shear_cells = self._cells if same else CellMeans(preprocessor.integrator, whole)
-        at_rest: F32 = self._shear_cells.means(preprocessor.reference_white) / np.float32(255)
-        self._shear = LearnedShear(shear, calibration.geometry, calibration.pitch_px, at_rest)
+        self.fine_reference: F32 = self._shear_cells.means(
+            preprocessor.reference_white
+        ) / np.float32(255)
+        self.fine_inside = rays_in_image(
+            disc_map.map_grid(camera.geometry.disc, shear.cells), camera
+        ).inside
+        self._shear = LearnedShear(
+            shear, calibration.geometry, calibration.pitch_px, self.fine_reference
+        )
         fitted = camera.fitted.get(profile.name)
         self._factor = np.float32(
             fitted.factor if fitted else camera.factors.get(profile.name, 1.0)
         )
-        self._latest: tuple[Preprocessed, F32] | None = (
-            None  # and its white: depth and shear may see the same
-        )
+        # The latest image with its white, and with its fine white: depth and shear may see the same.
+        self._latest: tuple[Preprocessed, F32] | None = None
+        self._latest_fine: tuple[Preprocessed, F32] | None = None
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.size_mm)
 
     def inverse(self, preprocessed: Preprocessed, features: Features | None = None) -> Inverse:
@@ -149,6 +156,15 @@ class LearnedSolver:
         if self._latest is None or self._latest[0] is not preprocessed:
             self._latest = preprocessed, self._cells.means(preprocessed.white)
         return self._latest[1]
+
+    def fine_white(self, preprocessed: Preprocessed) -> F32:
+        """The white on the network of shear's cells, which are as fine for every profile."""
+        if self._shear_cells is self._cells:
+            return self.white(preprocessed)
+        if self._latest_fine is None or self._latest_fine[0] is not preprocessed:
+            self._latest_fine = None  # frees it before the next
+            self._latest_fine = preprocessed, self._shear_cells.means(preprocessed.white)
+        return self._latest_fine[1]
 
     def solve(
         self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
@@ -175,9 +191,7 @@ class LearnedSolver:
         )
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32:
-        same = self._shear_cells is self._cells
-        white = self.white(preprocessed) if same else self._shear_cells.means(preprocessed.white)
-        return self._shear(white, self.grid.rows, features)
+        return self._shear(self.fine_white(preprocessed), self.grid.rows, features)
 
 
 def untrusted_cells(inverse: Inverse, cells: int) -> Bool:

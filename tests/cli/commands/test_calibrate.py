@@ -282,20 +282,38 @@ def test_the_untouched_sensor_shows_where_a_touch_begins(
     out, renewed = tmp_path / "cal.npz", tmp_path / "renewed.npz"
     command = ["calibrate", *alone, "--out", str(out), "--rest", str(resting)]
     assert main(command) == 0
-    assert "one untouched frame in 10,000 is taken for a touch" in capsys.readouterr().out
+    said_in_words = capsys.readouterr().out
+    assert "one untouched frame in 10,000 is taken for a touch" in said_in_words
+    assert re.search(r"balanced reports a touch from 0\.\d\d mm of its own", said_in_words)
+    assert "it finds" not in said_in_words
     assert main([*command, "--false-contacts", "0.01", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)["rest"]
     limits = calibration_file.load(out).rest
     assert said.keys() == limits.keys() == {"fast", "balanced", "accurate"}
     for name, limit in limits.items():
         assert (limit.frames, limit.false_contacts) == (10 + 5, 0.01)
-        assert said[name]["logit"] == pytest.approx(limit.logit, abs=1e-3)
-        assert -14 < limit.logit < 0
+        assert said[name]["height_mm"] == pytest.approx(limit.height_mm, abs=1e-4)
+        assert 0 < limit.height_mm < 0.1
+        assert 0 < limit.local_change < 0.05
     rezero = ["calibrate", "--rezero", str(out), *alone[2:], "--out", str(renewed)]
     assert main(rezero) == 0
     assert calibration_file.load(renewed).rest == limits
     assert main([*rezero, "--rest", str(resting)]) == 0
     assert calibration_file.load(renewed).rest["fast"].false_contacts == 1e-4
+
+
+def test_presses_show_what_is_found(
+    words: list[str], resting: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = with_table(words, tmp_path / "few.csv", rows_of(words)[:11])
+    assert (
+        main(["calibrate", *table, "--rest", str(resting), "--out", str(tmp_path / "c.npz")]) == 0
+    )
+    found = re.search(
+        r"it finds 10 of 10 presses \(the shallowest one of (.*) mm\)", capsys.readouterr().out
+    )
+    assert found is not None
+    assert 0 < float(found[1]) < 2
 
 
 @pytest.mark.parametrize(

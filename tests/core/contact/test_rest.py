@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tacshade_edge.core.contact.gate import SURE_PART
 from tacshade_edge.core.contact.rest import (
+    KINDS,
     LEAST_FRAMES,
     Evidence,
-    exceeds,
     limits_of,
     upper_bound,
 )
@@ -56,19 +56,26 @@ def test_a_bound_is_finite_and_falls_with_the_rate(values: list[float], rate: fl
 
 
 def test_few_frames_give_no_limits() -> None:
-    some = [Evidence(-9.0 + 0.1 * k, 0.01) for k in range(LEAST_FRAMES)]
+    some = [Evidence(0.01 + 0.001 * k, 0.001 * k, 0.01) for k in range(LEAST_FRAMES)]
     assert limits_of(some[1:], 1e-4) is None
     limits = limits_of(some, 1e-4)
     assert limits is not None
     assert (limits.frames, limits.false_contacts) == (LEAST_FRAMES, 1e-4)
 
 
-def test_either_evidence_shows_a_touch() -> None:
+def test_each_kind_of_evidence_has_a_part_of_the_rate() -> None:
     rng = np.random.default_rng(4)
-    some = [Evidence(-10 + 0.2 * rng.normal(), 0.02 + 0.002 * rng.normal()) for _ in range(100)]
-    limits = limits_of(some, 1e-4)
+    some = [
+        Evidence(0.01 * rng.random(), 0.004 * rng.random(), 0.02 * rng.random()) for _ in range(100)
+    ]
+    limits = limits_of(some, 1e-3)
     assert limits is not None
+    assert limits.height_mm == upper_bound([one.height_mm for one in some], 1e-3 / KINDS)
+    assert limits.local_change == upper_bound([one.local_change for one in some], 1e-3 / KINDS)
     assert limits.changed_part == SURE_PART
-    assert not any(exceeds(one, limits) for one in some)
-    assert exceeds(Evidence(-5.0, 0.02), limits)
-    assert exceeds(Evidence(-10.0, 0.31), limits)
+
+
+def test_heights_that_do_not_vary_must_double() -> None:
+    limits = limits_of([Evidence(0.006, 0.001 * k, 0.01) for k in range(20)], 1e-4)
+    assert limits is not None
+    assert limits.height_mm == 0.012

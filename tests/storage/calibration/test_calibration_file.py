@@ -51,7 +51,7 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
     for k, calibration in enumerate(
         (
             replace(painted_calibration(), error_scales={"fast": 1.25, "balanced": 0.5}),
-            replace(painted_calibration(), rest={"fast": RestLimits(60, 1e-4, -6.5, 0.3)}),
+            replace(painted_calibration(), rest={"fast": RestLimits(60, 1e-4, 0.02, -0.001, 0.3)}),
             replace(painted_calibration(), flange_T_sensor=(1.5, -2.0, 30.0, 0.6, 0.0, 0.8, 0.0)),
             replace(
                 painted_calibration(),
