@@ -31,8 +31,8 @@ POINTS = PressPoints(
 MS = 1_000_000
 
 
-def frame(t_ms: int, depth_mm: float, z_mm: float | None) -> SimpleNamespace:
-    """A frame of a robot at a height; no contact at depth 0, no pose without a height."""
+def frame(t_ms: int, depth_mm: float | None, z_mm: float | None) -> SimpleNamespace:
+    """A frame of a robot at a height; no contact at depth 0, touched at an unknown depth, no pose without a height."""
     pose = None if z_mm is None else Pose(0, 0, 0, z_mm, 1, 0, 0, 0)
     return SimpleNamespace(frame=SimpleNamespace(t_ns=t_ms * MS, pose=pose, depth_mm=depth_mm))
 
@@ -50,9 +50,14 @@ class FakeRecording:
 
 class FakeReconstructor:
     def step(self, given: Any) -> SimpleNamespace:
-        depth_mm = given.depth_mm
+        depth_mm = given.depth_mm or 0.0
         return SimpleNamespace(
-            t_ns=given.t_ns, valid=True, contact=depth_mm > 0, depth_max_mm=depth_mm, height=None
+            t_ns=given.t_ns,
+            valid=True,
+            contact=depth_mm > 0,
+            touched=given.depth_mm is None,
+            depth_max_mm=depth_mm,
+            height=None,
         )
 
 
@@ -72,6 +77,16 @@ def read(frames: list[SimpleNamespace | DecodeError]) -> tuple[list[Any], list[R
     return read_contact_frames(
         SimpleNamespace(geometry=None), PROFILES["fast"], FakeRecording(frames)
     )  # type: ignore[arg-type]
+
+
+def test_a_frame_of_unknown_depth_is_no_press_and_ends_none() -> None:
+    pressed = press_down_and_up(1000)
+    lost = [frame(1000 + 10 * k + 5, None, -2.0) for k in range(30, 74, 7)]  # while it rests
+    between = sorted([*pressed, *lost], key=lambda one: one.frame.t_ns)
+    found, alone = (
+        [(one.press, one.t_ns) for one in read(list(frames))[0]] for frames in (between, pressed)
+    )
+    assert found == alone
 
 
 def test_a_press_has_a_frame_at_rest_and_some_of_its_motion() -> None:

@@ -29,6 +29,7 @@ from tacshade_edge.storage.tables.frame_table import PosedImage
 from tacshade_edge.types import F64, Calibration, Frame, Pose
 
 _NO_CONTACT = Reason(ReasonCode.NO_CONTACT, "no contact")
+_UNMEASURED = Reason(ReasonCode.NO_CONTACT, "something touches, but its depth is unknown")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,8 @@ def read_presses(
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
-        skipped = result.reason or (None if len(points.points_mm) else _NO_CONTACT)
+        nothing = _UNMEASURED if result.touched else _NO_CONTACT
+        skipped = result.reason or (None if len(points.points_mm) else nothing)
         presses.append(
             Press(
                 one.path.name,
@@ -101,6 +103,8 @@ def read_recording(
             return presses
         frame = recorded.frame
         result = reconstructor.step(frame)
+        if result.touched:
+            continue  # it is no press, and ends none
         if not rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm):
             continue
         if frame.pose is None:
@@ -199,9 +203,12 @@ def read_contact_frames(
         frame = recorded.frame
         result = reconstructor.step(frame)
         contact = result.valid and result.contact
-        number += contact and not touching
-        touching = contact
-        rests = rest.update(result.t_ns, contact, result.depth_max_mm)
+        if result.touched:
+            rests = False  # it is no press, and ends none
+        else:
+            number += contact and not touching
+            touching = contact
+            rests = rest.update(result.t_ns, contact, result.depth_max_mm)
         if frame.pose is None:
             continue
         track.append(replace(frame.pose, t_ns=frame.t_ns))
