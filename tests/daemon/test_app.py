@@ -15,6 +15,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.running_app import (
     BASE,
     GONE,
@@ -35,7 +36,7 @@ from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import load
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.types import Calibration
+from tacshade_edge.types import Calibration, RestLimits
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import stretched, wait_until
@@ -97,6 +98,30 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
         np.frombuffer(live.payloads("preview")[0], np.uint8), cv2.IMREAD_UNCHANGED
     )
     assert preview.shape[:2] == (240, 320)
+
+
+def test_a_touch_that_the_map_does_not_show_reaches_a_subscriber(live: Live, scripted: Any) -> None:
+    limits = RestLimits(60, 1e-4, height_mm=0.001, local_change=0.9, changed_part=0.9)
+    knows_rest = replace(calibrated(HALF, 0), rest={"fast": limits})
+    faint, lifted = pressed("ball", 0.1, HALF, 2.0).image, threading.Event()
+
+    def touch_and_lift() -> Iterator[Any]:
+        yield from paced(unloaded(), 10)
+        while not lifted.is_set():
+            yield from paced(faint, 1)
+        yield from paced(unloaded())
+
+    with live.run(scripted(touch_and_lift()), "profile: fast\n", knows_rest):
+        felt = live.until("contact", touched=1)
+        assert (felt["contact"], felt["depth_max_mm"]) == (0, None)
+        assert felt["degraded_code"] == "touch_unmeasured"
+        assert live.until("event/contact", type="new")["depth_max_mm"] is None
+        wait_until(lambda: live.last("health").get("touched_frames", 0) > 0, 15, "the count")
+        lifted.set()
+        live.until("contact", touched=0, contact=0, depth_max_mm=0.0)
+        live.until("event/contact", type="end")
+    heights = [wire.decode(payload) for payload in live.payloads("height")]
+    assert [(each.contact, each.touched) for each in heights] == [(False, True), (False, False)]
 
 
 def test_a_broker_that_takes_small_messages_only_is_a_degraded_state(
