@@ -365,3 +365,15 @@ def test_a_wrong_family_or_way_is_refused_in_a_line(
         with pytest.raises(SystemExit):
             evaluate.main(["--states", str(tmp_path), option, wrong])
         assert f"found '{wrong}', expected one of" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_states_that_are_missing_are_named_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--states", str(tmp_path), "--families", "layered", "--sensors", "1", "--ways", ""]
+    assert evaluate.main(options) == 1
+    missing = tmp_path / "layered" / "working-0-judged-0.npz"
+    assert capsys.readouterr().err == (
+        f"{missing} is missing: solve the family first (README.md)\n"
+    )

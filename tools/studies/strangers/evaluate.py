@@ -236,12 +236,16 @@ def main(arguments: list[str] | None = None) -> int:
         for family in families
         for number in range(options.sensors)
     ]
-    with command.folder_for(parser, options.folder):
-        results = {}
-        for case, found in of_cases(cases, options.states, options.folder):
-            name = f"{case.family} {case.number} {case.way}"
-            print(f"{name}: {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
-            results[case] = [Judged(**row) for row in found["rows"]]
+    results = {}
+    try:
+        with command.folder_for(parser, options.folder):
+            for case, found in of_cases(cases, options.states, options.folder):
+                name = f"{case.family} {case.number} {case.way}"
+                print(f"{name}: {found['fit_s']:.0f} s", file=sys.stderr, flush=True)
+                results[case] = [Judged(**row) for row in found["rows"]]
+    except FileNotFoundError as error:
+        print(f"{error.filename} is missing: solve the family first (README.md)", file=sys.stderr)
+        return 1
     rows = [line for family in families for line in lines(family, ways, results)]
     print(markdown(["family", "fit", "profile", *HEADINGS], rows))
     return 0

@@ -89,7 +89,7 @@ class Shell:
         stiff, along = self._material.gel_per_mm * self._areas, self._material.gel_along
         blocks = np.einsum("ni,nj->nij", out, out) * (1 - along) + along * np.eye(3)
         blocks *= stiff[:, None, None]
-        return sparse.block_diag(list(blocks), format="csc")
+        return _blocks(blocks)
 
     def _bending(self) -> sparse.csc_matrix:
         """D (Δu)² over the rest shape, with the cotangents' Laplacian."""
@@ -170,7 +170,7 @@ class Shell:
         size = 3 * len(at)
         matrix = sparse.csc_matrix((blocks.ravel(), (self._rows, self._cols)), shape=(size, size))
         pushed, held = touch.derivatives(at)
-        matrix = matrix + self._supports + sparse.block_diag(list(held), format="csc")
+        matrix = matrix + self._supports + _blocks(held)
         gradient = (
             gradient + self._supports @ moved + self._bulk * swollen * swelling + pushed.ravel()
         )
@@ -210,6 +210,12 @@ class Shell:
     @property
     def _bulk(self) -> float:
         return VOLUME * self._material.gel_per_mm / float(self._areas.sum())
+
+
+def _blocks(each: F64) -> sparse.csc_matrix:
+    """A matrix with blocks (N, 3, 3) on its diagonal."""
+    count = len(each)
+    return sparse.csc_matrix(sparse.bsr_matrix((each, np.arange(count), np.arange(count + 1))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
