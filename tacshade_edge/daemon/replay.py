@@ -42,6 +42,12 @@ class Progress:
     timings: Timings = field(default_factory=Timings)
 
     @property
+    def answers(self) -> str:
+        """How many frames are in contact, and in how many something touches at an unknown depth."""
+        touched = f", {self.touched} touched (depth unknown)" if self.touched else ""
+        return f"{self.contacts} in contact{touched}"
+
+    @property
     def recorded_seconds(self) -> float:
         """Duration by the recording's clock, s, including the last frame's mean period."""
         if self.frames < 2:

@@ -10,13 +10,14 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.findings import checked, states
 from support.networks import fitted_with
+from support.published_sensor import unmeasured
 
 from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.doctor.calibration import check_images, load
 from tacshade_edge.settings import load as load_settings
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.types import U8
+from tacshade_edge.types import U8, Frame, Reconstruction
 from tools.testbed.painted_sensor import painted_calibration
 
 ROWS, COLS = 240, 320
@@ -89,6 +90,21 @@ def test_a_camera_that_came_closer_and_files_that_show_presses() -> None:
     assert place.state == "warning"
     assert "move it back" in place.fix
     assert states(check_images(calibrated(HALF), [pressed("ball", 3.0).image], False))[-1] == "ok"
+
+
+class Feels:
+    """A reconstructor that finds a touch of unknown depth in every frame."""
+
+    def step(self, frame: Frame) -> Reconstruction:
+        return unmeasured(frame.seq)
+
+
+def test_a_touch_of_unknown_depth_is_no_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tacshade_edge.doctor.calibration.make_reconstructor", lambda *_: Feels())
+    live, shown = (check_images(calibrated(HALF), free(), live)[-1] for live in (True, False))
+    assert (live.state, shown.state) == ("warning", "ok")
+    assert "its depth is unknown" in live.found
+    assert shown.found.endswith("shows a touch of unknown depth")
 
 
 def test_the_file(tmp_path: Path) -> None:

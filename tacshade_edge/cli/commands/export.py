@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         replay(recording, reconstructor, [add], progress, speed=None, undecodable=warn)
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
     frames = counted(progress.frames, "frame")
-    print(f"{out}: {frames}, {progress.contacts} in contact, {progress.invalid} invalid{left_out}")
+    print(f"{out}: {frames}, {progress.answers}, {progress.invalid} invalid{left_out}")
     return 1 if progress.undecodable else 0
 
 

@@ -179,9 +179,8 @@ def _replay(args: argparse.Namespace) -> int:
         shown.end()
         if args.out is not None and not interrupted:
             writer.finish(progress.as_dict())
-    touched = f", {progress.touched} touched (depth unknown)" if progress.touched else ""
     print(
-        f"{args.input}: {counted(progress.frames, 'frame')}, {progress.contacts} in contact{touched}, "
+        f"{args.input}: {counted(progress.frames, 'frame')}, {progress.answers}, "
         f"{progress.invalid} invalid, {progress.undecodable} unreadable; "
         f"{progress.recorded_seconds:.2f} s of recording in {progress.seconds:.2f} s, "
         f"{progress.speed_up:.2f} times real time"

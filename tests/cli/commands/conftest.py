@@ -5,15 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import pytest
 import yaml
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.pad import Bar, Pad
+from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.parallel import ThisProcess
+from tacshade_edge.types import RestLimits
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +29,19 @@ def small_pad() -> Iterator[None]:
         patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: small)
         patch.setattr(simulate, "workers", lambda cluster: nullcontext(ThisProcess()))
         yield
+
+
+@pytest.fixture
+def faint(tmp_path: Path) -> tuple[Path, Path]:
+    """A calibration that knows the sensor at rest, and a folder with a free picture and a touch that no map shows."""
+    limits = RestLimits(60, 1e-4, height_mm=0.001, local_change=0.9, changed_part=0.9)
+    calibration, pictures = tmp_path / "rest.npz", tmp_path / "pictures"
+    known = replace(calibrated(HALF, 0), rest=dict.fromkeys(("fast", "balanced"), limits))
+    calibration_file.save(calibration, known)
+    pictures.mkdir()
+    for k, image in enumerate((unloaded(), pressed("ball", 0.1, HALF, 2.0).image)):
+        cv2.imwrite(str(pictures / f"{k}.png"), image)
+    return calibration, pictures
 
 
 @pytest.fixture

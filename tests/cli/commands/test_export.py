@@ -47,6 +47,19 @@ def table(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(path.read_text())))
 
 
+@pytest.mark.slow
+def test_a_touch_of_unknown_depth_has_an_empty_cell(
+    faint: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, pictures = faint
+    more = ("--calibration", str(calibration), "--profile", "fast")
+    assert export(pictures, "csv", *more) == 0
+    assert "2 frames, 0 in contact, 1 touched (depth unknown), 0 invalid" in capsys.readouterr().out
+    rows = table(pictures.with_name("pictures.csv"))
+    found = [(row["contact"], row["touched"], row["depth_max_mm"]) for row in rows]
+    assert found == [("0", "0", "0.0"), ("0", "1", "")]
+
+
 def test_csv_has_a_row_for_each_frame_and_overwrites_nothing(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

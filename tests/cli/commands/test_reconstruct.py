@@ -108,6 +108,22 @@ def test_objects_and_depth_of_fast(
     assert len(two["objects"]) == 2
 
 
+@pytest.mark.slow
+def test_a_touch_of_unknown_depth_is_counted_and_has_no_depth(
+    faint: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, pictures = map(str, faint)
+    out = tmp_path / "out"
+    command = ["reconstruct", pictures, "--calibration", calibration, "--profile", "fast"]
+    assert main([*command, "--out", str(out), "--plot"]) == 0
+    found = "2 of 2 images reconstructed, 0 in contact, 1 touched (depth unknown), 0 invalid"
+    assert found in capsys.readouterr().out
+    free, touched = json.loads((out / "summary.json").read_text())
+    assert (free["touched"], free["depth_max_mm"]) == (False, 0)
+    assert (touched["touched"], touched["contact"]) == (True, False)
+    assert touched["depth_max_mm"] is None
+
+
 def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,7 +14,7 @@ import cv2
 import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.progress_lines import without_progress
-from support.published_sensor import DISC, PublishedSensor, bump
+from support.published_sensor import DISC, PublishedSensor, bump, unmeasured
 
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.cli.commands.teach import deepest_of_each
@@ -167,6 +167,7 @@ def test_the_deepest_frame_of_each_contact_is_taken() -> None:
     depths_mm = (0, 1.0, 2.5, 2.0, 0, 0, 1.5, 0, 3.0)
     results = [result(seq, depth_mm) for seq, depth_mm in enumerate(depths_mm)]
     results.insert(3, result(99, 9.0, valid=False))
+    results.insert(3, result_of(unmeasured(98), geometry, None, None))
     assert [each.seq for each in deepest_of_each(results)] == [2, 6, 8]
     assert list(deepest_of_each([])) == []
 
