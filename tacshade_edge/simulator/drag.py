@@ -24,7 +24,7 @@ from tacshade_edge.simulator.press import Press, distances_mm
 from tacshade_edge.simulator.skin import (
     Skin,
     Solver,
-    chart_to_direction,
+    at_height,
     direction_to_chart,
     finer,
     mass_weight,
@@ -32,6 +32,7 @@ from tacshade_edge.simulator.skin import (
     node_directions,
     obstacle_of,
     press_skin,
+    rest_x_y_mm,
     slid,
     solve,
     undeformed,
@@ -111,6 +112,16 @@ def leant_mm(direction: F64, sway_mm: F64) -> F64:
     return np.concatenate((up[..., None] * sway_mm, -turn[..., None]), axis=-1)
 
 
+def swayed_mm(points_mm: F64, sway_mm: F64, size_mm: float) -> F64:
+    """Displacement (..., 3) of a pad's skin at points (..., 3), for a sway (2,) in the middle: it
+    shears along itself, and is held at its rim.
+    """
+    rim_mm = 2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2))
+    part = np.maximum(1 - np.sum(points_mm[..., :2] ** 2, axis=-1) / rim_mm**2, 0)
+    along = part[..., None] * sway_mm
+    return np.concatenate((along, np.zeros((*part.shape, 1))), axis=-1)
+
+
 def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
     """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3), by `volume_mm3` in total."""
     rim = math.radians(RIM_HALF_ANGLE_DEG)
@@ -145,18 +156,23 @@ def _swaying(
     sway_mm: F64,
 ) -> tuple[Skin, F64]:
     """The skin of a dome that leans by `sway_mm`, and the mean further displacement by the contacts, (2,) mm."""
-    radius_mm = model.skin_radius_mm
-    direction = node_directions(radius_mm).astype(np.float64)
-    moved = mechanics.lean(direction, sway_mm)
-    if model.bulge:
-        moved += bulged_mm(direction, model.bulge * _displaced_mm3(radius_mm, presses), radius_mm)
-    leaning = np.asarray(-np.sum(moved * direction, axis=-1), np.float32) if moved.any() else None
+    radius_mm, size_mm = model.form_mm
+    direction = node_directions(radius_mm, size_mm).astype(np.float64)
+    if math.isinf(radius_mm):
+        moved, leaning = swayed_mm(direction, sway_mm, size_mm), None
+    else:
+        moved = mechanics.lean(direction, sway_mm)
+        if model.bulge:
+            displaced = model.bulge * _displaced_mm3(radius_mm, presses)
+            moved += bulged_mm(direction, displaced, radius_mm)
+        leaning = -np.sum(moved * direction, axis=-1) if moved.any() else None
+        leaning = None if leaning is None else np.asarray(leaning, np.float32)
     if rest is not None and rest.leaning_mm is not None:
         leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
     skin = shape(leaning)
     node, before = (
         np.stack(direction_to_chart(at, radius_mm), axis=-1)
-        for at in (direction, radius_mm * direction - moved)
+        for at in (direction, at_height(direction, np.zeros(1), radius_mm) - moved)
     )
     if rest is not None and rest.origin_mm is not None:
         before += rest.origin_mm
@@ -179,8 +195,7 @@ def _swaying(
     part = _unfolded_part(origin, skin.step_mm)
     ahead -= (1 - part) * origin[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     touched, now = (
-        radius_mm * chart_to_direction(at[:, 0], at[:, 1], radius_mm)[:, :2]
-        for at in (contacts.touched_mm, contacts.touched_mm + ahead)
+        rest_x_y_mm(at, radius_mm) for at in (contacts.touched_mm, contacts.touched_mm + ahead)
     )
     dragged = replace(
         skin,
@@ -206,7 +221,7 @@ def contact_nodes(
     every = slice(None, None, _EVERY)
     pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
     rows, cols = np.nonzero(((obstacle > 0) & (pressed <= obstacle + _TOUCHING_MM))[every, every])
-    points = (direction * (skin.radius_mm - skin.height_mm)[..., None])[every, every][rows, cols]
+    points = at_height(direction, skin.height_mm, skin.radius_mm)[every, every][rows, cols]
     if not len(points):
         return rows, cols, np.zeros(0, np.int64), points
     return rows, cols, np.argmin(distances_mm(presses, skin.radius_mm, points), axis=0), points
@@ -273,6 +288,8 @@ def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
 
 def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
     """Chart coordinates (N, 2) of the undeformed skin at x and y; beyond the skin, those of its equator."""
+    if math.isinf(radius_mm):
+        return x_y_mm
     rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
     on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, 1e-9))
     z = np.sqrt(radius_mm**2 - np.sum(on * on, axis=1))

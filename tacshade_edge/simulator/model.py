@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from tacshade_edge.types import Disc, Geometry
+from tacshade_edge.types import Disc, Geometry, Skin
 from tacshade_edge.types.calibration import Coordinate, Positive, require_bounds
 
 Surround = Literal["bright", "dark"]
@@ -26,7 +26,8 @@ MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
 class SensorModel:
     """The parameters of one sensor: skin, pins and markers, camera, light. Radii in pitches are radii, not diameters.
 
-    Skin: r, d (None: orthographic) and θ as in `Geometry`; λ `skin_decay_mm` and λt `drag_decay_mm` are lengths over
+    Skin: r, d (None: orthographic) and θ as in `Geometry`. A pad is the flat skin of the size of such a dome, with the
+    same visible circle, whose radius is r sinθ; λ `skin_decay_mm` and λt `drag_decay_mm` are lengths over
     which displacements decay outside a contact. With `friction` 1 the skin goes along -z with what presses it, with 0
     along its radius; `coulomb` is μ kn / kt. `sway` is the part of a drag that the whole dome takes, `bulge` the part
     of the displaced volume that bulges out at its sides, `pin_lag` the part of a drag by which tips of pins lag behind.
@@ -41,9 +42,10 @@ class SensorModel:
     Specular spots are LED highlights, which do not move with the skin.
     """
 
+    skin: Skin = "dome"
     skin_radius_mm: Positive = 20.0
-    camera_distance_mm: Positive | None = 14.0
-    visible_half_angle_deg: Annotated[float, Meta(ge=5, le=MAX_VISIBLE_HALF_ANGLE_DEG)] = 50.0
+    camera_distance_mm: Coordinate | None = 14.0
+    visible_half_angle_deg: Annotated[float, Meta(ge=0.05, le=MAX_VISIBLE_HALF_ANGLE_DEG)] = 50.0
     image_height_px: Annotated[int, Meta(gt=0)] = 480
     image_width_px: Annotated[int, Meta(gt=0)] = 640
     row_c: Coordinate = 236.4
@@ -83,26 +85,40 @@ class SensorModel:
     def __post_init__(self) -> None:
         """Raise ValueError with the parameter's name for a value that cannot be simulated."""
         require_bounds(self)
-        if self.pitch_mm > self.skin_radius_mm / 3 or self.pitch_mm < self.skin_radius_mm / 50:
+        _, size_mm = self.form_mm
+        if self.pitch_mm > size_mm / 3 or self.pitch_mm < size_mm / 50:
             raise ValueError(
                 f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm"
             )
-        if self.pin_length_pitches * self.pitch_mm > self.skin_radius_mm / 2:
+        if self.pin_length_pitches * self.pitch_mm > size_mm / 2:
             raise ValueError(
                 f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
             )
+        if self.skin not in ("dome", "pad"):
+            raise ValueError(f"skin is {self.skin!r}, expected dome or pad")
+        if self.skin == "pad" and self.bulge:
+            raise ValueError(f"bulge is {self.bulge}, expected 0 for a pad")
+        if self.camera_distance_mm is not None and not self.geometry.f_px > 0:
+            text = f"camera_distance_mm is {self.camera_distance_mm}"
+            raise ValueError(f"{text}, expected a lens behind the visible circle")
         if self.surround not in ("bright", "dark"):
             raise ValueError(f"surround is {self.surround!r}, expected bright or dark")
 
     @property
     def geometry(self) -> Geometry:
         """The geometry that a perfect calibration of this sensor finds."""
-        return Geometry(
-            self.skin_radius_mm,
-            self.camera_distance_mm,
-            self.visible_half_angle_deg,
-            Disc(self.row_c, self.col_c, self.disc_radius_px),
-        )
+        disc = Disc(self.row_c, self.col_c, self.disc_radius_px)
+        r, d, angle_deg = self.skin_radius_mm, self.camera_distance_mm, self.visible_half_angle_deg
+        if self.skin == "pad":
+            return Geometry(math.inf, d, 0.0, disc, r * math.sin(math.radians(angle_deg)))
+        return Geometry(r, d, angle_deg, disc)
+
+    @property
+    def form_mm(self) -> tuple[float, float]:
+        """Radius of the undeformed skin, infinite for a pad, and the skin's size, as in `skin.undeformed`."""
+        if self.skin == "pad":
+            return math.inf, self.skin_radius_mm
+        return self.skin_radius_mm, self.geometry.size_mm
 
 
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
@@ -159,6 +175,14 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
         specular_spots=int(rng.integers(0, 7)),
         print_seed=seed,
     )
+
+
+def flattened(model: SensorModel) -> SensorModel:
+    """A pad with the print of a sensor, and with its visible circle as large and as far from the lens."""
+    d = model.camera_distance_mm
+    if d is not None:
+        d += model.skin_radius_mm * math.cos(math.radians(model.visible_half_angle_deg))
+    return replace(model, skin="pad", camera_distance_mm=d, bulge=0.0)
 
 
 def tactip(model: SensorModel) -> SensorModel:

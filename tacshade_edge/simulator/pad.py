@@ -104,7 +104,7 @@ class Pad:
         """Signed distance (N,) in mm of points (N, 3) in the base frame, negative inside; the plate is infinite."""
         return _distance(self.bulges, points_mm)
 
-    def under(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Shape:
+    def under(self, base_T_sensor: Rigid, apex_mm: float) -> Shape:
         """The pad under a sensor at a pose, for a `Press` of depth 0 at (0, 0), whose origin is the apex of the
         undeformed skin.
         """
@@ -112,7 +112,7 @@ class Pad:
         near = [
             b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM
         ]
-        apex = np.array((0.0, 0.0, skin_radius_mm))
+        apex = np.array((0.0, 0.0, apex_mm))
 
         def sdf(points: F64) -> F64:
             return _distance(near, base_T_sensor.apply(points + apex)).astype(points.dtype)
@@ -159,11 +159,11 @@ def raster(pad: Pad, step_mm: float) -> F32:
     return pad.height_mm(*np.meshgrid(x, y)).astype(np.float32)
 
 
-def scan(pad: Pad, step_mm: float, depth_mm: float, skin_radius_mm: float) -> list[Rigid]:
+def scan(pad: Pad, step_mm: float, depth_mm: float, apex_mm: float) -> list[Rigid]:
     """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro,
     with the undeformed apex `depth_mm` below the highest point.
     """
-    z = BULGE_HEIGHT_MM - depth_mm + skin_radius_mm
+    z = BULGE_HEIGHT_MM - depth_mm + apex_mm
     xs, ys = (
         np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist()
         for side in (pad.width_mm, pad.length_mm)
@@ -180,7 +180,7 @@ _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
 
 
 def disturbed(
-    poses: Sequence[Rigid], skin_radius_mm: float, sigma_mm: float, sigma_deg: float, seed: int
+    poses: Sequence[Rigid], apex_mm: float, sigma_mm: float, sigma_deg: float, seed: int
 ) -> list[Rigid]:
     """The poses that a robot reports with Gaussian noise along every axis and about a random axis through the apex."""
     rng = np.random.default_rng((seed, 6))
@@ -191,10 +191,10 @@ def disturbed(
             axis / np.linalg.norm(axis) * math.radians(sigma_deg) * rng.standard_normal()
         )
         moved = shift(*(sigma_mm * rng.standard_normal(3)).tolist())
-        out.append(moved @ about_apex(pose, rotation, skin_radius_mm))
+        out.append(moved @ about_apex(pose, rotation, apex_mm))
     return out
 
 
-def about_apex(pose: Rigid, rotation: Rigid, skin_radius_mm: float) -> Rigid:
+def about_apex(pose: Rigid, rotation: Rigid, apex_mm: float) -> Rigid:
     """A sensor's pose after a rotation, in the sensor's axes, about its undeformed apex."""
-    return pose @ shift(0, 0, skin_radius_mm) @ rotation @ shift(0, 0, -skin_radius_mm)
+    return pose @ shift(0, 0, apex_mm) @ rotation @ shift(0, 0, -apex_mm)

@@ -217,7 +217,11 @@ class Press:
             raise ValueError(f"scale is {self.scale}, expected a positive number")
 
     def lowest_z_mm(self, skin_radius_mm: float) -> float:
-        """The z of the lowest point in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
+        """The z of the lowest point in the sensor frame, in mm; a pad has an infinite radius. Raises
+        ValueError if (x, y) is not over the skin.
+        """
+        if math.isinf(skin_radius_mm):
+            return -self.depth_mm
         beside = skin_radius_mm**2 - self.x_mm**2 - self.y_mm**2
         if beside <= 0:
             raise ValueError(

@@ -13,10 +13,12 @@ import cv2
 import numpy as np
 
 from tacshade_edge.simulator.model import MAX_VISIBLE_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.simulator.skin import Skin, direction_to_chart
+from tacshade_edge.simulator.skin import Skin, at_height, direction_to_chart
 from tacshade_edge.types import F32, F64, U8, Geometry
 
 _MARKER_CORNERS = 12
+_FLAT_REACH = 1.12
+"""How far the print of a pad or of a nearly flat dome reaches, in radii of the visible circle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +54,10 @@ class Print:
 
 
 def print_features(model: SensorModel) -> Print:
-    """Lay the hexagonal lattice on the sphere (equal-area chart) with the model's print tolerances."""
-    r, p = model.skin_radius_mm, model.pitch_mm
+    """Lay the hexagonal lattice on the skin (equal-area chart) with the model's print tolerances."""
+    p, (r, size_mm) = model.pitch_mm, model.form_mm
     reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
-    limit = 2 * r * math.sin(reach / 2)
+    limit = 2 * r * math.sin(reach / 2) if r == size_mm else reach_mm(model)
     n = math.ceil(limit / (p * 0.86)) + 1
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     corner = np.stack(((i + 0.5 * j).ravel(), (j * math.sqrt(0.75)).ravel()), axis=1) * p
@@ -73,6 +75,9 @@ def print_features(model: SensorModel) -> Print:
 
 def reach_mm(model: SensorModel) -> float:
     """Compute how far from the apex the print reaches, in the equal-area chart."""
+    radius_mm, size_mm = model.form_mm
+    if radius_mm > size_mm:
+        return _FLAT_REACH * model.geometry.visible_radius_mm
     return 2 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg + 6) / 2)
 
 
@@ -85,7 +90,7 @@ def _printed(
     model: SensorModel, stream: int, pins: F64, markers: F64, limit_mm: float, marker_part: float
 ) -> Print:
     """Print at points of the equal-area chart within a limit, with tolerances drawn from a stream."""
-    rng, r = np.random.default_rng((model.print_seed, stream)), model.skin_radius_mm
+    rng, (r, _) = np.random.default_rng((model.print_seed, stream)), model.form_mm
 
     def lay(points: F64) -> F64:
         points = points + rng.normal(0.0, model.position_tolerance_mm, points.shape)
@@ -100,8 +105,9 @@ def _printed(
     angles = np.arange(_MARKER_CORNERS) * (2 * math.pi / _MARKER_CORNERS)
     circle = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     centre = equal_area_to_direction(markers, r)
-    east, north = tangents(centre)
-    ring = centre[:, None, :] * r + radius[:, None, None] * (
+    flat = math.isinf(r)
+    east, north = tangents(np.broadcast_to((0.0, 0.0, 1.0), centre.shape) if flat else centre)
+    ring = (centre if flat else centre * r)[:, None, :] + radius[:, None, None] * (
         circle[None, :, :1] * east[:, None, :] + circle[None, :, 1:] * north[:, None, :]
     )
     return Print(
@@ -114,7 +120,11 @@ def _printed(
 
 
 def equal_area_to_direction(points: F64, radius: float) -> F64:
-    """Convert Lambert's equal-area chart to unit vectors; the lattice keeps its density all over the sphere."""
+    """Convert Lambert's equal-area chart to unit vectors, or on a pad to points of the plane; the
+    lattice keeps its density all over the skin.
+    """
+    if math.isinf(radius):
+        return np.concatenate((points, np.zeros((*points.shape[:-1], 1))), axis=-1)
     x, y = points[..., 0] / radius, points[..., 1] / radius
     s = x * x + y * y
     k = np.sqrt(np.maximum(1 - s / 4, 0))
@@ -289,7 +299,8 @@ def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
 
 def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
     """Points of the deformed skin (..., 3) in mm."""
-    return direction * (skin.radius_mm - skin.sample(chart_mm[..., 0], chart_mm[..., 1]))[..., None]
+    height = skin.sample(chart_mm[..., 0], chart_mm[..., 1])
+    return at_height(direction, height, skin.radius_mm)
 
 
 def smoothed(skin: Skin, patch_mm: float) -> Skin:
@@ -303,6 +314,9 @@ def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
     x, y, e = chart_mm[:, 0], chart_mm[:, 1], flat.step_mm
     h_x = (flat.sample(x + e, y) - flat.sample(x - e, y)) / (2 * e)
     h_y = (flat.sample(x, y + e) - flat.sample(x, y - e)) / (2 * e)
+    if math.isinf(flat.radius_mm):
+        slope = np.stack((h_x, h_y, np.ones_like(h_x)), axis=1)
+        return np.asarray(slope / np.linalg.norm(slope, axis=1, keepdims=True))
     u, v = x / flat.radius_mm, y / flat.radius_mm
     q = (u * u + v * v) / 4
     direction = np.stack((u, v, 1 - q), axis=1) / (1 + q)[:, None]

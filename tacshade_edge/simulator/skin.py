@@ -1,9 +1,13 @@
-"""The skin's shape under objects: an obstacle problem on the sphere.
+"""The skin's shape under objects: an obstacle problem on the sphere, or in the plane of a pad.
 
 The skin is a membrane on an elastic foundation (the gel). Its inward displacement h along the radius minimises
 ∫ λ²|∇h|² + h² over the sphere, subject to h >= 0 and to the skin staying outside the objects. λ is the length over
 which the skirt around a contact decays. The grid lies in the stereographic chart, centred on the apex. The chart is
 conformal: the Dirichlet term is that of the plane, and only the mass term takes the factor (1 + ρ²/4)^-2.
+
+A pad has an infinite radius; its chart is the plane itself, h is along -z, and the point (x, y, 0)
+stands where a dome has the unit vector of a direction. Radius and size differ for a pad and for a
+nearly flat dome: its grid's step and its rim are those of a dome whose radius is the size.
 """
 
 from __future__ import annotations
@@ -160,14 +164,16 @@ def finer(coarse: F32, shape: tuple[int, int]) -> F32:
     )
 
 
-GRID_STEPS_PER_RADIUS = 80
-"""The grid's step is r / 80 at the apex: 0.25 mm on a skin of 20 mm."""
+GRID_STEPS_PER_SIZE = 80
+"""The grid's step is 1 / 80 of the skin's size at the apex: 0.25 mm on a dome of 20 mm."""
 
 _TRACE_TOLERANCE_MM = 1e-4
 _LEAST_TRACE_MM = 2e-3  # a few rays run along a wall, which would take hundreds of steps
 _TRACE_STEPS = 400
 _OUTERMOST = 1.25
 """How far from O a leaning or bulging skin may reach, in skin radii."""
+_ROUNDING = 1 + 1e-9
+"""On a size that was divided and multiplied, so that it is not less than the radius that it equals."""
 
 Solver = Callable[[F32, F32], F32]
 """A function from an obstacle and mass weights to h, all on the same grid."""
@@ -236,6 +242,8 @@ class Skin:
         slides.
         """
         direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
+        if math.isinf(self.radius_mm):
+            return direction, chart_mm
         height = self.sample_pressed(chart_mm[..., 0], chart_mm[..., 1])
         moved = direction * (self.radius_mm - (1 - friction) * height)[..., None]
         moved[..., 2] -= friction * height / direction[..., 2]
@@ -243,9 +251,9 @@ class Skin:
         return moved, np.stack(direction_to_chart(moved, self.radius_mm), axis=-1)
 
 
-def undeformed(radius_mm: float) -> Skin:
-    """The undeformed skin."""
-    n, step = _grid(radius_mm)
+def undeformed(radius_mm: float, size_mm: float | None = None) -> Skin:
+    """The undeformed skin; the size is the radius if none is given."""
+    n, step = _grid(size_mm or radius_mm)
     zero = np.zeros((2 * n + 1, 2 * n + 1), np.float32)
     return Skin(radius_mm, step, zero, zero)
 
@@ -257,15 +265,16 @@ def press_skin(
     leaning_mm: F32 | None = None,
     rest_mm: F32 | None = None,
     solver: Solver = solve,
+    size_mm: float | None = None,
 ) -> Skin:
     """Find the skin's shape under objects; `rest_mm` is that of the unloaded skin after creep. Raises ValueError (an
     object would reach the middle of the sensor, or is not over the skin).
     """
-    flat = undeformed(radius_mm)
+    flat = undeformed(radius_mm, size_mm)
     free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
     if not presses:
         return free.leaning(leaning_mm)
-    obstacle = obstacle_of(radius_mm, presses, leaning_mm)
+    obstacle = obstacle_of(radius_mm, presses, leaning_mm, size_mm)
     beyond = obstacle if rest_mm is None else np.maximum(obstacle - rest_mm, 0)
     if not beyond.any():
         return flat if rest_mm is None else free.leaning(leaning_mm)
@@ -308,34 +317,67 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
 
 
 def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
-    """Convert chart coordinates in mm to unit vectors from O, (..., 3)."""
+    """Convert chart coordinates in mm to unit vectors from O, (..., 3); on a pad to the points of the plane."""
+    if math.isinf(radius_mm):
+        return np.stack((x, y, np.zeros_like(x)), axis=-1)
     u, v = x / radius_mm, y / radius_mm
     q = (u * u + v * v) / 4
     return np.stack((u, v, 1 - q), axis=-1) / (1 + q)[..., None]
 
 
 def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
-    """Convert vectors from O (any length, not along -z) to chart coordinates in mm."""
+    """Convert vectors from O (any length, not along -z) to chart coordinates in mm; on a pad points of any height."""
+    if math.isinf(radius_mm):
+        return direction[..., 0], direction[..., 1]
     k = 2 * radius_mm / (np.linalg.norm(direction, axis=-1) + direction[..., 2])
     return direction[..., 0] * k, direction[..., 1] * k
 
 
-def _grid(radius_mm: float) -> tuple[int, float]:
-    step = radius_mm / GRID_STEPS_PER_RADIUS
-    return math.ceil(2 * radius_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) / step), step
+def at_height(direction: F64, height: F64 | F32, radius_mm: float) -> F64:
+    """Points (..., 3) in mm of the skin with a height (...) in a direction of `chart_to_direction`."""
+    if math.isinf(radius_mm):
+        lowered = direction.copy()
+        lowered[..., 2] -= height
+        return lowered
+    return np.asarray(direction * (radius_mm - height)[..., None])
+
+
+def rest_x_y_mm(chart_mm: F64, radius_mm: float) -> F64:
+    """The x and y (N, 2) in mm of the undeformed skin at chart coordinates (N, 2)."""
+    if math.isinf(radius_mm):
+        return chart_mm
+    return radius_mm * chart_to_direction(chart_mm[:, 0], chart_mm[:, 1], radius_mm)[:, :2]
+
+
+def height_of(points_mm: F64, radius_mm: float) -> F64:
+    """Heights (N,) in mm of points (N, 3) of the skin."""
+    if math.isinf(radius_mm):
+        return np.asarray(-points_mm[:, 2])
+    return np.asarray(radius_mm - np.linalg.norm(points_mm, axis=1))
+
+
+def _grid(size_mm: float) -> tuple[int, float]:
+    step = size_mm / GRID_STEPS_PER_SIZE
+    return math.ceil(2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) / step), step
 
 
 def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
     """The chart's factor on the mass term; beyond the rim it is so large that the skin cannot move."""
-    axis = (np.arange(-n, n + 1) * (step_mm / radius_mm)) ** 2 / 4
-    q = axis[:, None] + axis[None, :]
-    clamped = q > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
+    node = np.arange(-n, n + 1)
+
+    def squares(of_mm: float) -> F64:
+        axis = (node * (step_mm / of_mm)) ** 2 / 4
+        return axis[:, None] + axis[None, :]
+
+    q, size_mm = squares(radius_mm), min(radius_mm, step_mm * GRID_STEPS_PER_SIZE * _ROUNDING)
+    to_rim = q if size_mm == radius_mm else squares(size_mm)
+    clamped = to_rim > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
     return np.asarray(np.where(clamped, 1e6, 1 / (1 + q) ** 2), np.float32)
 
 
-def node_directions(radius_mm: float) -> F64:
-    """Unit vectors of the grid's nodes, (2n+1, 2n+1, 3), in single precision."""
-    return _directions(radius_mm, *_grid(radius_mm))
+def node_directions(radius_mm: float, size_mm: float | None = None) -> F64:
+    """Directions of the grid's nodes (`chart_to_direction`), (2n+1, 2n+1, 3), in single precision."""
+    return _directions(radius_mm, *_grid(size_mm or radius_mm))
 
 
 def _directions(radius_mm: float, n: int, step_mm: float) -> F64:
@@ -344,29 +386,39 @@ def _directions(radius_mm: float, n: int, step_mm: float) -> F64:
     return chart_to_direction(x, y, radius_mm)
 
 
-def obstacle_of(radius_mm: float, presses: Sequence[Press], leaning_mm: F32 | None = None) -> F32:
+def obstacle_of(
+    radius_mm: float,
+    presses: Sequence[Press],
+    leaning_mm: F32 | None = None,
+    size_mm: float | None = None,
+) -> F32:
     """The skin's distance from O minus the distance at which each node's ray enters an object; 0 if it enters none."""
-    surface = np.float32(radius_mm) if leaning_mm is None else np.float32(radius_mm) - leaning_mm
+    size_mm = size_mm or radius_mm
+    at_rest = np.float32(size_mm if math.isinf(radius_mm) else radius_mm)
+    surface = at_rest if leaning_mm is None else at_rest - leaning_mm
     still = tuple(replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0) for press in presses)
-    return np.asarray(
-        np.maximum(surface - _entries(radius_mm, *_grid(radius_mm), still), 0), np.float32
-    )
+    return np.asarray(np.maximum(surface - _entries(radius_mm, size_mm, still), 0), np.float32)
 
 
 @functools.lru_cache(maxsize=2)
-def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...]) -> F32:
-    """The distance from O at which each node's ray enters an object, infinite if none; the last ones are kept."""
-    rays = _directions(radius_mm, n, step_mm)
-    rim = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
-    start = float(distance_mm(presses, radius_mm, np.zeros((1, 3)))[0])
-    if start < 0.1 * radius_mm:
+def _entries(radius_mm: float, size_mm: float, presses: tuple[Press, ...]) -> F32:
+    """The distance from O at which each node's ray enters an object, infinite if none; the last ones are kept. The rays
+    of a pad are along z and begin at its size below the skin.
+    """
+    rays, flat = _directions(radius_mm, *_grid(size_mm)), math.isinf(radius_mm)
+    origins = np.zeros((1, 3)) if not flat else (rays - (0, 0, size_mm)).reshape(-1, 3)
+    start = float(distance_mm(presses, radius_mm, origins).min())
+    if start < 0.1 * size_mm:
         raise ValueError(f"the press reaches the sensor's centre (skin radius {radius_mm} mm)")
     entries = np.full(rays.shape[:2], np.inf, np.float32)
-    index = np.flatnonzero(rays[..., 2] > rim)
-    ray, end = rays.reshape(-1, 3)[index], np.float32(_OUTERMOST * radius_mm)
+    index = np.flatnonzero(_within_rim(rays, radius_mm, size_mm))
+    ray, end = rays.reshape(-1, 3)[index], np.float32(_OUTERMOST * size_mm)
+    if not flat and radius_mm > size_mm:
+        end += np.float32(radius_mm - size_mm)
     t: F32 = np.full(len(index), start, np.float32)
     for _ in range(_TRACE_STEPS):
-        d = distance_mm(presses, radius_mm, ray * t[:, None])
+        at = np.column_stack((ray[:, :2], t - np.float32(size_mm))) if flat else ray * t[:, None]
+        d = distance_mm(presses, radius_mm, at)
         hit = d < _TRACE_TOLERANCE_MM
         entries.flat[index[hit]] = t[hit] + np.minimum(
             d[hit], 0
@@ -378,6 +430,15 @@ def _entries(radius_mm: float, n: int, step_mm: float, presses: tuple[Press, ...
             break
     entries.flags.writeable = False
     return entries
+
+
+def _within_rim(rays: F64, radius_mm: float, size_mm: float) -> np.typing.NDArray[np.bool_]:
+    """The nodes inside the rim, (2n+1, 2n+1), from their directions."""
+    if radius_mm == size_mm:
+        return np.asarray(rays[..., 2] > math.cos(math.radians(RIM_HALF_ANGLE_DEG)))
+    rim_mm = 2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2))
+    x, y = direction_to_chart(rays, radius_mm)
+    return np.asarray(x * x + y * y < rim_mm * rim_mm)
 
 
 def window_of(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, slice]:

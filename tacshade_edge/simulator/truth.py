@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,15 @@ from tacshade_edge.simulator.drag import drag_skin
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import Press, distance_mm
 from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import Skin, chart_to_direction, direction_to_chart, press_skin
+from tacshade_edge.simulator.skin import (
+    Skin,
+    at_height,
+    chart_to_direction,
+    direction_to_chart,
+    height_of,
+    press_skin,
+    rest_x_y_mm,
+)
 from tacshade_edge.types import F32, F64, U8, Bool, Geometry
 
 CONTACT_TOLERANCE_MM = 0.02
@@ -48,7 +57,7 @@ def measure(
     if not inside.any() or not skin.height_mm.any():
         return Truth(height, contact, np.empty((0, 3), np.float32), _object_points(skin), 0.0)
     points = skin_points(skin, geometry, rows[inside].astype(float), cols[inside].astype(float))
-    h = np.maximum(skin.radius_mm - np.linalg.norm(points, axis=1), 0)
+    h = np.maximum(height_of(points, skin.radius_mm), 0)
     h[h < 1e-6] = 0
     height[inside] = h
     # An object may touch a leaning dome where it bulges outwards.
@@ -73,14 +82,18 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
     foot = -np.sum(origin * along, axis=1)
     off_axis = np.sum(origin * origin, axis=1) - foot * foot
 
-    def root(radius: float) -> F64:
+    def root(height_mm: float) -> F64:
+        if math.isinf(r):
+            return np.asarray((-height_mm - origin[:, 2]) / along[:, 2])
+        radius = r - height_mm
         return np.asarray(foot + np.sqrt(np.maximum(radius * radius - off_axis, 0)))
 
     def outside(s: F64, which: Bool | slice) -> F64:
         p = origin[which] + s[:, None] * along[which]
-        return np.asarray(np.linalg.norm(p, axis=1) - r + skin.sample(*direction_to_chart(p, r)))
+        above = p[:, 2] if math.isinf(r) else np.linalg.norm(p, axis=1) - r
+        return np.asarray(above + skin.sample(*direction_to_chart(p, r)))
 
-    low, high = root(r - float(skin.height_mm.max())), root(r - min(float(skin.height_mm.min()), 0))
+    low, high = root(float(skin.height_mm.max())), root(min(float(skin.height_mm.min()), 0))
     # Most rays cross the skin once, where it is undeformed or gently deformed; march nevertheless.
     everything = slice(None)
     start, step = low.copy(), (high - low) / _MARCH_STEPS
@@ -121,8 +134,7 @@ def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
         if np.abs(off).max(initial=0) < _INVERSE_TOLERANCE_MM:
             break
     before += skin.sample_origin(now[:, 0], now[:, 1])
-    reference = skin.radius_mm * chart_to_direction(before[:, 0], before[:, 1], skin.radius_mm)
-    return np.asarray(points_mm[:, :2] - reference[:, :2])
+    return np.asarray(points_mm[:, :2] - rest_x_y_mm(before, skin.radius_mm))
 
 
 def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
@@ -144,7 +156,7 @@ def _object_points(skin: Skin) -> F32:
     n = skin.height_mm.shape[0] // 2
     direction = chart_to_direction((j - n) * skin.step_mm, (i - n) * skin.step_mm, skin.radius_mm)
     depth = skin.obstacle_mm if skin.leaning_mm is None else skin.obstacle_mm + skin.leaning_mm
-    return np.asarray(direction * (skin.radius_mm - depth[i, j])[:, None], np.float32)
+    return np.asarray(at_height(direction, depth[i, j], skin.radius_mm), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,6 +219,8 @@ def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None =
     rest_mm = None if rest is None else rest.pressed_mm
 
     def shape(leaning_mm: F32 | None) -> Skin:
-        return press_skin(model.skin_radius_mm, model.skin_decay_mm, presses, leaning_mm, rest_mm)
+        radius_mm, size_mm = model.form_mm
+        decay_mm = model.skin_decay_mm
+        return press_skin(radius_mm, decay_mm, presses, leaning_mm, rest_mm, size_mm=size_mm)
 
     return drag_skin(shape, model, presses, rest=rest)

@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.flat_skins import DISC, dome_like, pad
 
-from tacshade_edge.core.depth.learned import scale_mm
+from tacshade_edge.core.depth.learned import (
+    FLAT_DEG,
+    LEARNT_DEG,
+    as_learnt,
+    scale_mm,
+    shown_ratio,
+)
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import (
     Grid,
@@ -95,6 +101,31 @@ def test_the_networks_are_told_of_a_pad_what_flat_domes_tend_to(
     )
     steep = 1 if lens_mm is None else 1 + radius_mm / lens_mm
     np.testing.assert_allclose(found, expected, atol=3 * steep**2 * radius_mm / r_mm)
+
+
+@given(LENSES, RADII, st.floats(0.1, 24.9))
+def test_of_flat_skins_the_networks_are_told_the_flattest_dome_that_they_know(
+    lens_mm: float | None, radius_mm: float, half_angle_deg: float
+) -> None:
+    flat = pad(lens_mm, radius_mm)
+    dome = dome_like(flat, radius_mm / math.sin(math.radians(half_angle_deg)))
+    for each in (flat, dome):
+        known = as_learnt(each)
+        assert known.visible_half_angle_deg == LEARNT_DEG
+        assert known.visible_radius_mm == pytest.approx(radius_mm)
+        assert known.f_px == pytest.approx(each.f_px)
+        assert 1.5 <= shown_ratio(each) <= 1.9
+        assert np.isfinite(disc_map.geometry_maps(known, 4.0, 28)).all()
+    assert shown_ratio(flat) <= shown_ratio(dome)
+
+
+@given(st.floats(FLAT_DEG, 85.0), LENSES)
+def test_of_other_domes_the_networks_are_told_what_is_known(
+    half_angle_deg: float, lens_mm: float | None
+) -> None:
+    dome = Geometry(20.0, lens_mm, half_angle_deg, DISC)
+    assert as_learnt(dome) is dome
+    assert shown_ratio(dome) == 1
 
 
 def test_a_pad_at_rest_is_a_flat_disc() -> None:

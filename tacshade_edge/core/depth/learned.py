@@ -8,6 +8,7 @@ caller chooses how to run them (`inference.network` uses ONNX Runtime).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import cast
 
@@ -31,6 +32,38 @@ DEEPEST_RADII = 0.31
 def scale_mm(geometry: Geometry) -> np.float32:
     """The factor from the networks' lengths to mm."""
     return np.float32(geometry.visible_radius_mm / HEIGHT_SCALE)
+
+
+# Flatter skins than this (pads: 0) are none that the networks learnt from; they are told of the flattest of those.
+FLAT_DEG, LEARNT_DEG = 25.0, 42.0
+# Of flat skins the networks then show greater heights, by this factor at these half angles: measured on simulated
+# sensors (tools/studies/flat_skins.py).
+_SHOWN_DEG, _SHOWN = (0.0, 20.0), (1.5, 1.9)
+
+
+def is_flat(geometry: Geometry) -> bool:
+    """Whether a skin is flatter than those that the networks learnt from."""
+    return geometry.visible_half_angle_deg < FLAT_DEG
+
+
+def as_learnt(geometry: Geometry) -> Geometry:
+    """What the networks are told of a sensor: of a flat skin the flattest dome that they learnt from,
+    with the same visible circle as far from the lens.
+    """
+    if not is_flat(geometry):
+        return geometry
+    half, d = math.radians(LEARNT_DEG), geometry.camera_distance_mm
+    r = geometry.visible_radius_mm / math.sin(half)
+    if d is not None:
+        d = geometry.f_px * geometry.mm_per_px - r * math.cos(half)
+    return Geometry(r, d, LEARNT_DEG, geometry.disc)
+
+
+def shown_ratio(geometry: Geometry) -> float:
+    """The ratio of the heights that the networks show to those of the skin; 1 unless it is flat."""
+    if not is_flat(geometry):
+        return 1.0
+    return float(np.interp(geometry.visible_half_angle_deg, _SHOWN_DEG, _SHOWN))
 
 
 def known_maps(geometry: Geometry, pitch_px: float, reference_white: F32, by: int) -> F32:
@@ -62,7 +95,9 @@ class _Prepared:
     ) -> None:
         self._network = network
         self._mm = scale_mm(geometry)
-        self._sensor = network.sense(known_maps(geometry, pitch_px, reference_white, network.fold))
+        self._ratio = np.float32(shown_ratio(geometry))
+        known = known_maps(as_learnt(geometry), pitch_px, reference_white, network.fold)
+        self._sensor = network.sense(known)
 
     def _run(self, white: F32, features: Features | None) -> Sequence[F32]:
         """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
@@ -99,7 +134,7 @@ class LearnedInverse(_Prepared):
         """The result for a frame's white, float32 (cells, cells), 0 to 1."""
         maps, untrusted = self._run(white, features)
         height, logit = unfold(maps, self._network.fold)
-        return Inverse(height * self._mm, logit, untrusted[0])
+        return Inverse(height * (self._mm / self._ratio), logit, untrusted[0])
 
 
 class LearnedSolver:
