@@ -29,8 +29,8 @@ from tacshade_edge.simulator.render import project
 from tacshade_edge.simulator.skin import Skin, direction_to_chart, node_directions, undeformed
 from tacshade_edge.types import F32, F64, U8, Calibration, Frame, Geometry, Reconstruction
 
-SMOOTH_CELLS = 2.0
-"""Smoothing of the compared white: half a pitch or so, because the place of a tip's edge says little."""
+SMOOTH_CELLS = 4.0
+"""Smoothing of the compared white: about a pitch, because where the edge of one tip lies says little of heights."""
 LEAST_CHANGE = 0.02
 """RMS of the white's change over the disc below which a picture is no touch to judge by."""
 LIKELY = 1.02

@@ -105,11 +105,10 @@ what the shipped network knows of other skins (M. Wortsman et al., Robust fine-t
 WHOLE_WAY, LENGTH_UNKNOWN = 1.0, 0.5
 """The part of the way where neither presses nor touches judge: half of it for white pins, because nothing at rest shows
 how long they are. On sensors of other mechanics than the shipped networks learnt, the whole way is best."""
-ALIKE = 1.02
-"""Parts that leave at most this many times as much of the touches unexplained as the best one are alike."""
 CLEARLY, TOLERATED = 0.95, 1.1
-"""How much better than the part without presses another part is on them that is taken instead, and how much worse than
-the shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged."""
+"""How much better than the part without presses or touches another part is on them that is taken instead, and how much
+worse than the shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged;
+what touches leave unexplained ranks gross errors, and hardly those that differ by a tenth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +144,7 @@ class NetworkReport:
             found_mm = self.fitted_presses_mm
             return found_mm is not None and found_mm < TOLERATED * self.shipped_presses_mm
         if self.shipped_left is not None and self.fitted_left is not None:
-            return self.fitted_left < self.shipped_left
+            return self.fitted_left < TOLERATED * self.shipped_left
         return True
 
     @property
@@ -200,9 +199,8 @@ def judged(
             made = {part: part_of_the_way(part) for part in PARTS}
             return _by_presses(calibration, presses, before, name, made, alone)
     if touches is not None:
-        return _by_touches(
-            calibration, touches, name, {part: part_of_the_way(part) for part in PARTS}
-        )
+        made = {part: part_of_the_way(part) for part in PARTS}
+        return _by_touches(calibration, touches, name, made, alone)
     judged_alone = part_of_the_way(alone)
     return judged_alone, NetworkReport(name, shipped_mm, judged_alone.error_mm, part=alone)
 
@@ -238,14 +236,18 @@ def _by_presses(
 
 
 def _by_touches(
-    calibration: Calibration, touches: Touches, name: str, made: Mapping[float, FittedNetwork]
+    calibration: Calibration,
+    touches: Touches,
+    name: str,
+    made: Mapping[float, FittedNetwork],
+    alone: float,
 ) -> tuple[FittedNetwork, NetworkReport]:
     before = touches.left_by(calibration, name)
     left = {
         part: touches.left_by(replace(calibration, fitted={name: fitted}), name)
         for part, fitted in made.items()
     }
-    best = least_part(left)
+    best = chosen(left, alone)
     report = NetworkReport(
         name,
         made[best].shipped_error_mm,
@@ -258,17 +260,8 @@ def _by_touches(
     return made[best], report
 
 
-def least_part(left: Mapping[float, float]) -> float:
-    """The least part of the way that explains touches about as well as the best one: a network nearer to the shipped
-    one knows more of other skins.
-    """
-    return min(part for part, each in left.items() if each <= ALIKE * min(left.values()))
-
-
-def chosen(errors_mm: Mapping[float, float | None], alone: float) -> float:
-    """The part of the way with the least error on presses, or `alone` if no other is clearly better; an error of None
-    counts as the greatest.
-    """
-    known_mm = {part: math.inf if error is None else error for part, error in errors_mm.items()}
-    best = min(known_mm, key=known_mm.__getitem__)
-    return best if known_mm[best] < CLEARLY * known_mm[alone] else alone
+def chosen(errors: Mapping[float, float | None], alone: float) -> float:
+    """The part of the way with the least error, or `alone` if no other is clearly better; None is the greatest."""
+    known = {part: math.inf if error is None else error for part, error in errors.items()}
+    best = min(known, key=known.__getitem__)
+    return best if known[best] < CLEARLY * known[alone] else alone

@@ -105,8 +105,10 @@ def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() 
     assert found.mean_mm < 0.5 * alike.mean_mm
 
 
-@pytest.mark.parametrize(("left", "kept"), [((0.4, 0.3), True), ((0.3, 0.31), False)])
-def test_a_network_is_kept_if_it_explains_touches_better(
+@pytest.mark.parametrize(
+    ("left", "kept"), [((0.4, 0.3), True), ((0.3, 0.32), True), ((0.3, 0.34), False)]
+)
+def test_a_network_is_kept_unless_it_explains_touches_clearly_worse(
     left: tuple[float, float], kept: bool
 ) -> None:
     from tacshade_edge.fitting.judge import NetworkReport
@@ -114,18 +116,3 @@ def test_a_network_is_kept_if_it_explains_touches_better(
     report = NetworkReport("fast", 0.3, 0.2, shipped_left=left[0], fitted_left=left[1])
     assert report.kept == kept
     assert "of your touches unexplained" in report.line
-
-
-@pytest.mark.parametrize(
-    ("left", "part"),
-    [
-        ({0.25: 0.279, 0.5: 0.269, 0.75: 0.253, 1.0: 0.241}, 1.0),
-        ({0.25: 0.609, 0.5: 0.583, 0.75: 0.581, 1.0: 0.613}, 0.5),
-    ],
-)
-def test_touches_choose_the_least_part_that_explains_about_as_well(
-    left: dict[float, float], part: float
-) -> None:
-    from tacshade_edge.fitting.judge import least_part
-
-    assert least_part(left) == part
