@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, overload
 
 import numpy as np
@@ -239,7 +240,8 @@ class Reconstructor:
             made = self._empty(frame, degraded=found or degraded, touched=touched)
             if features:  # a model of labels may know a touch that the map does not show
                 return self._with_touch(made, features, mark)
-            if quiet and not found and self._relaxed(frame):
+            relaxed = self._detector is None or self._detector.relaxed(frame.t_ns)
+            if quiet and not found and relaxed:
                 self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
             return made
         if need == Need.CONTACT:
@@ -327,14 +329,12 @@ class Reconstructor:
         if objects is None:
             if degraded and degraded.code is not ReasonCode.UNTRUSTED:
                 return None
-            return detector.felt(frame.t_ns, depth, white, self.changed_part)
+            lift = partial(self._seen.lift, frame.image)
+            return detector.felt(frame.t_ns, depth, white, self.changed_part, lift)
         moving = detector.moving(depth, white)
         if moving is None:
             detector.contact(frame.t_ns, max(each.depth_max_mm for each in objects.described))
         return moving
-
-    def _relaxed(self, frame: Frame) -> bool:
-        return self._detector is None or self._detector.relaxed(frame.t_ns)
 
     def _with_touch(
         self, made: Reconstruction, features: list[F32] | None, mark: Mark

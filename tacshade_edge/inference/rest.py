@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from tacshade_edge.core.contact.rest import LEAST_FRAMES, Evidence, limits_of
+from tacshade_edge.core.contact.rest import (
+    LEAST_FRAMES,
+    WAYS,
+    Evidence,
+    limits_of,
+    moved_by_a_pixel,
+)
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
@@ -37,15 +43,19 @@ def learn_rest(
         if profile.network
     }
     taken: dict[str, list[Evidence]] = {name: [] for name in makers}
+    moved: dict[str, list[list[Evidence]]] = {name: [[] for _ in range(WAYS)] for name in makers}
     left_out: dict[str, None] = {}
-    for name, image in images:
+    for at, (name, image) in enumerate(images):
+        shifted = moved_by_a_pixel(image, at % WAYS)
         for profile, made in makers.items():
-            found = made.evidence(image)
+            found, drifted = made.evidence(image), made.evidence(shifted)
             if isinstance(found, Evidence):
                 taken[profile].append(found)
             else:
                 left_out[f"{name}: {found}"] = None
-    limits = {name: limits_of(some, false_contacts) for name, some in taken.items()}
+            if isinstance(drifted, Evidence):
+                moved[profile][at % WAYS].append(drifted)
+    limits = {name: limits_of(some, moved[name], false_contacts) for name, some in taken.items()}
     usable = {name: one for name, one in limits.items() if one is not None}
     if len(usable) < len(limits):
         fewest = counted(min(map(len, taken.values())), "usable image")

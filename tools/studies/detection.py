@@ -20,7 +20,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ import numpy as np
 
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.rest import learn_rest
@@ -42,7 +43,7 @@ from tacshade_edge.types import U8, Calibration, Frame
 from tools.studies.judges import calibrated, press_of
 from tools.studies.limits import CHANGES, LEFT, RELEASED, ball_press, places
 from tools.studies.real_sets import SENSOR, SENSORS, SETS, TILTED, rows_of, thinned
-from tools.testbed.simulator.families import released, working_sensors
+from tools.testbed.simulator.families import FINAL_SENSORS, released, working_sensors
 
 PROFILES = ("fast", "balanced", "accurate")
 FREE_N = 0.13
@@ -111,22 +112,28 @@ def known_frames(name: str, clone: Path) -> list[Known]:
     ]
 
 
+@cache
+def picture(path: Path) -> U8:
+    """A picture in grey."""
+    return to_grey(read_image(path))
+
+
 def referred(name: str, path: Path) -> Calibration:
     """Calibrated from one picture, also one that seems loaded."""
     sensor = SENSORS.get(name, SENSOR)
-    return calibrate(sensor, [read_image(path)], allow_loaded_reference=True).calibration
+    return calibrate(sensor, [picture(path)], allow_loaded_reference=True).calibration
 
 
 def with_rest(calibration: Calibration, rest: Sequence[Known]) -> Calibration:
     """With the limits that these frames set."""
-    learnt = learn_rest(calibration, ((one.path.name, read_image(one.path)) for one in rest))
+    learnt = learn_rest(calibration, ((one.path.name, picture(one.path)) for one in rest))
     return replace(calibration, rest=learnt.limits)
 
 
 def answers(calibration: Calibration, frames: Sequence[Known]) -> list[Answer]:
     """Those of all profiles; the kind of a frame is the force."""
     made = [reconstructor(calibration, profile) for profile in PROFILES]
-    images = ((one, read_image(one.path)) for one in frames)
+    images = ((one, picture(one.path)) for one in frames)
     return [answer(each, str(one.force_n), image) for one, image in images for each in made]
 
 
@@ -203,10 +210,10 @@ def turns(name: str, clone: Path, step: int) -> None:
 
 
 def simulated_frames(
-    sensor: PressedSensor, seed: int, count: int
+    sensor: PressedSensor, seed: int, count: int, untouched: int
 ) -> Iterator[tuple[str, Sequence[U8]]]:
     """Sequences of pictures, of which the last is judged: untouched ones, faint presses, presses of any kind."""
-    for k in range(count):
+    for k in range(untouched):
         yield "at rest", [sensor.frame((), 30_000 + k).image]
     changes = list(CHANGES)[1:]
     for k in range(count):
@@ -232,16 +239,16 @@ def simulated_frames(
         yield "press", [sensor.frame((press,), 80_000 + k).image]
 
 
-def judged(task: tuple[SensorName, int]) -> list[tuple[str, Answer, Answer]]:
+def judged(task: tuple[SensorName, int, int]) -> list[tuple[str, Answer, Answer]]:
     """A sensor's frames as they are answered without and with a rest."""
-    name, count = task
+    name, count, untouched = task
     sensor = name.make()
     bare = calibrated(sensor)
     rest = ((str(k), sensor.frame((), 20_000 + k).image) for k in range(REST_FRAMES))
     limited = replace(bare, rest=learn_rest(bare, rest).limits)
     made = [(reconstructor(bare, each), reconstructor(limited, each)) for each in PROFILES]
     rows = []
-    for at, (kind, images) in enumerate(simulated_frames(sensor, name.seed or 0, count)):
+    for at, (kind, images) in enumerate(simulated_frames(sensor, name.seed or 0, count, untouched)):
         for pair in made:
             two: list[Any] = [None, None]
             for second, image in enumerate(images):
@@ -251,11 +258,11 @@ def judged(task: tuple[SensorName, int]) -> list[tuple[str, Answer, Answer]]:
     return rows
 
 
-def simulated(sensors: Sequence[SensorName], count: int) -> None:
+def simulated(sensors: Sequence[SensorName], count: int, untouched: int) -> None:
     """Judge simulated sensors and print."""
     rows: list[tuple[str, Answer, Answer]] = []
     with workers() as pool:
-        tasks = [(name, count) for name in sensors]
+        tasks = [(name, count, untouched) for name in sensors]
         for some in reported_map(judged, tasks, pool, Progress(), "sensors"):
             rows += some
     kinds = dict.fromkeys(before.kind for _, before, _ in rows)
@@ -287,7 +294,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     what = parser.add_subparsers(dest="what", required=True)
     own = what.add_parser("simulated")
-    own.add_argument("--sensors", type=working_sensors, metavar="SEED,...")
+    which = own.add_mutually_exclusive_group()
+    which.add_argument("--sensors", type=working_sensors, metavar="SEED,...")
+    which.add_argument("--final", action="store_true", help="those that are kept for final figures")
+    own.add_argument("--untouched", type=int, default=200, metavar="N", help="at rest (200)")
     own.add_argument("--frames", type=int, default=200, metavar="N", help="of most kinds (200)")
     for name in ("tilted", "raw", "flat"):
         real = what.add_parser(name)
@@ -299,8 +309,9 @@ def main() -> int:
     cv2.setNumThreads(1)
     try:
         if args.what == "simulated":
-            sensors = args.sensors or working_sensors("default,other:5,tactip:7")
-            simulated(sensors, args.frames)
+            working = args.sensors or working_sensors("default,other:5,tactip:7")
+            sensors = FINAL_SENSORS if args.final else working
+            simulated(sensors, args.frames, args.untouched)
         else:
             run = partial(turns, step=args.step) if args.what == "raw" else halves
             run(args.what, args.clone)

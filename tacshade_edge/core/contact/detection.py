@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,6 +21,10 @@ that sway show up to 0.9, 0.03 to 0.04 and at most 0.01; presses of a real dome 
 the pattern less, or leave more."""
 PRESSED_PART = 0.03
 """Part of the disc that a touch presses at least: a patch of 3 mm radius on a skin of 20 mm."""
+FAINT_GLARE = 6.0
+"""Levels by which light lifts the darkest pixels of a place, unless more of the picture changed than
+a spot covers. Rest, drift and presses reach 4, simulated and real, faint glare 7 to 30, but for spots
+of a few pixels."""
 DENT_PART, DENT_S = 0.15, 3.0
 """A soft skin keeps 2 to 10 % of a press for a few seconds: after a contact, only heights above this
 part of its depth are a touch for that time."""
@@ -64,8 +69,17 @@ class TouchDetector:
             return motion
         return None
 
-    def felt(self, t_ns: int, depth: Depth, white: F32, changed_part: float) -> Reason | None:
-        """Why a frame without a contact in its map is no untouched one; None if it is."""
+    def felt(
+        self,
+        t_ns: int,
+        depth: Depth,
+        white: F32,
+        changed_part: float,
+        lift: Callable[[], float] = lambda: 0.0,
+    ) -> Reason | None:
+        """Why a frame without a contact in its map is no untouched one; None if it is. `lift` gives
+        `GlareFinder.lift`.
+        """
         limits = self._limits
         if limits is None:
             return None
@@ -86,6 +100,10 @@ class TouchDetector:
             found.append(f"{100 * changed_part:.0f} % of the picture changed")
         if not found:
             return None
+        levels = lift() if changed_part <= limits.changed_part else 0.0
+        if levels >= FAINT_GLARE:
+            text = f"faint glare: light lifts the darkest pixels of a place by {levels:.0f} levels"
+            return Reason(ReasonCode.GLARE, text)
         text = "something touches, but its depth is unknown"
         touch = Reason(ReasonCode.TOUCH_UNMEASURED, f"{text}: {'; '.join(found)}")
         return self._motion(white) or touch

@@ -6,17 +6,18 @@ picture changes in one place. The sensor's own untouched frames show from where 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from tacshade_edge.core.contact.gate import SURE_PART
-from tacshade_edge.types import F64, RestLimits, frozen
+from tacshade_edge.types import F64, U8, RestLimits, frozen
 
 TAIL = 50
 """Most values that the tail's decay is taken from; of few values, it is taken from the upper half."""
 LEAST_FRAMES = 8
 """Of fewer frames, the limit for a rate of 1 in 10,000 is a hundred times their spread."""
+WAYS = 4  # in which a picture is moved by a pixel
 KINDS = 3  # of evidence, each of which is allowed an equal part of the false contacts
 
 
@@ -53,19 +54,41 @@ def upper_bound(values: Sequence[float], rate: float) -> float:
     return float(start + factor * mean)
 
 
-def limits_of(rest: Sequence[Evidence], false_contacts: float) -> RestLimits | None:
+def limits_of(
+    rest: Sequence[Evidence], moved: Sequence[Sequence[Evidence]], false_contacts: float
+) -> RestLimits | None:
     """The limits that evidence exceeds in at most this part of the frames without a touch; None if
-    there are fewer than `LEAST_FRAMES`. Heights, which are never below 0, must at least double: on
-    some sensors they hardly vary at rest.
+    there are fewer than `LEAST_FRAMES`. `moved` is the evidence of frames at rest in a picture that
+    has moved by a pixel, for each direction: a camera that drifts so far is in normal use. Heights,
+    which are never below 0, must at least double: on some sensors they hardly vary at rest.
     """
     if len(rest) < LEAST_FRAMES:
         return None
     each = false_contacts / KINDS
-    heights_mm = [one.height_mm for one in rest]
+
+    def limit(of: Callable[[Evidence], float]) -> float:
+        values = [of(one) for one in rest]
+        usual = float(np.median(values))
+        ways = [float(np.median([of(one) for one in way])) for way in moved if way]
+        return upper_bound(values, each) + max(max(ways, default=usual) - usual, 0.0)
+
+    usual_mm = float(np.median([one.height_mm for one in rest]))
     return RestLimits(
         frames=len(rest),
         false_contacts=false_contacts,
-        height_mm=max(upper_bound(heights_mm, each), 2 * float(np.median(heights_mm))),
-        local_change=upper_bound([one.local_change for one in rest], each),
-        changed_part=max(upper_bound([one.changed_part for one in rest], each), SURE_PART),
+        height_mm=max(limit(lambda one: one.height_mm), 2 * usual_mm),
+        local_change=limit(lambda one: one.local_change),
+        changed_part=max(limit(lambda one: one.changed_part), SURE_PART),
     )
+
+
+def moved_by_a_pixel(image: U8, way: int) -> U8:
+    """An image, uint8 (H, W) or (H, W, 3), moved down, up, right or left (0 to 3)."""
+    step = 1 if way % 2 == 0 else -1
+    axis = way // 2
+    moved = np.roll(image, step, axis)
+    edge = 0 if step > 0 else image.shape[axis] - 1
+    at = [slice(None)] * image.ndim
+    at[axis] = slice(edge, edge + 1)
+    moved[tuple(at)] = image[tuple(at)]
+    return moved

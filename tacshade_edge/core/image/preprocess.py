@@ -128,6 +128,10 @@ class Preprocessor:
             )
         return Preprocessed(white, self.integrator.integrate(white, space), unseen)
 
+    def lift(self, image: U8) -> float:
+        """`GlareFinder.lift` of the camera's image."""
+        return self._glare.lift(self.window.cut(self.grey(image)))
+
     def ratio(self, white: Total) -> F32:
         """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1; only pixels of the disc count in both."""
         g: F32 = self._box_sums.sums(white) * self._per_total
@@ -236,7 +240,10 @@ class GlareFinder:
         self._halo = _around(2 * (GLARE_HALO_PITCHES * pitch_px + self._side), self._side)
         dark, bright = (level_at(reference_grey, opaque, part) for part in (0.01, 0.99))
         lift = max(GLARE_LIFT, round(GLARE_PART * (bright - dark)))
-        lifted = cv2.erode(_least(reference_grey, self._side), self._box) + np.uint16(lift)
+        self._dark = cv2.erode(_least(reference_grey, self._side), self._box)
+        # Further inside, where no box reaches beyond the disc.
+        self._middle = np.flatnonzero(cv2.erode(self._inside, self._box))
+        lifted = self._dark + np.uint16(lift)
         self._darkest = np.minimum(lifted, 255).astype(np.uint8)
         reach = np.ones((2 * round(GLARE_REACH * pitch_px) + 1,) * 2, np.uint8)
         nearby = cv2.dilate(cv2.multiply(reference_grey, mask), reach)
@@ -249,6 +256,16 @@ class GlareFinder:
         # Work space: whole blocks, white beyond the window; the window.
         self._whole = padded(np.full_like(mask, 255), self._side, 255)
         self._bright = np.empty_like(mask)
+
+    def lift(self, grey: U8) -> float:
+        """How many levels the darkest pixels of a place have risen more than those of most of the
+        disc: light that is too faint to be found lifts them, a touch only moves them.
+        """
+        if not self._middle.size:
+            return 0.0
+        dark = cv2.erode(_least(padded(grey, self._side, 255), self._side), self._box)
+        risen = dark.take(self._middle).astype(np.float32) - self._dark.take(self._middle)
+        return float(risen.max()) - median(risen)
 
     def mask(self, grey: U8) -> U8 | None:
         """1 in glare and its halo, in whole blocks, of the window's grey image, uint8 (H, W); None without glare."""

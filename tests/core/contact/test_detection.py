@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.pin_pattern import N, X, Y, disc, pattern
 
-from tacshade_edge.core.contact.detection import DENT_PART, DENT_S, TouchDetector
+from tacshade_edge.core.contact.detection import DENT_PART, DENT_S, FAINT_GLARE, TouchDetector
 from tacshade_edge.core.contact.motion import WhiteChange
 from tacshade_edge.core.depth.base import Depth
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -56,6 +56,16 @@ def test_a_motion_of_the_whole_pattern_is_no_touch_unless_something_is_beyond_it
     assert code(one.felt(0, depth(0.5), moved, 0.5)) is ReasonCode.TIP_MOVING
     assert code(one.felt(0, depth(0.5), moved + bump(), 0.5)) is ReasonCode.TOUCH_UNMEASURED
     assert one.felt(0, depth(0.0), moved, 0.0) is None
+
+
+def test_faint_glare_is_no_touch() -> None:
+    one, lit = detector(), pattern() + bump()
+    assert code(one.felt(0, depth(0), lit, 0.0, lambda: FAINT_GLARE)) is ReasonCode.GLARE
+    assert code(one.felt(0, depth(0), lit, 0.0, lambda: 5.0)) is ReasonCode.TOUCH_UNMEASURED
+    assert code(one.felt(0, depth(0.5), lit, 0.0, lambda: FAINT_GLARE)) is ReasonCode.GLARE
+    # No faint spot changes so much of the picture.
+    found = one.felt(0, depth(0), lit, 0.5, lambda: FAINT_GLARE)
+    assert code(found) is ReasonCode.TOUCH_UNMEASURED
 
 
 def test_a_contact_is_one_unless_a_motion_explains_it() -> None:

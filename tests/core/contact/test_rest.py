@@ -11,8 +11,10 @@ from tacshade_edge.core.contact.gate import SURE_PART
 from tacshade_edge.core.contact.rest import (
     KINDS,
     LEAST_FRAMES,
+    WAYS,
     Evidence,
     limits_of,
+    moved_by_a_pixel,
     upper_bound,
 )
 
@@ -57,8 +59,8 @@ def test_a_bound_is_finite_and_falls_with_the_rate(values: list[float], rate: fl
 
 def test_few_frames_give_no_limits() -> None:
     some = [Evidence(0.01 + 0.001 * k, 0.001 * k, 0.01) for k in range(LEAST_FRAMES)]
-    assert limits_of(some[1:], 1e-4) is None
-    limits = limits_of(some, 1e-4)
+    assert limits_of(some[1:], [], 1e-4) is None
+    limits = limits_of(some, [], 1e-4)
     assert limits is not None
     assert (limits.frames, limits.false_contacts) == (LEAST_FRAMES, 1e-4)
 
@@ -68,7 +70,7 @@ def test_each_kind_of_evidence_has_a_part_of_the_rate() -> None:
     some = [
         Evidence(0.01 * rng.random(), 0.004 * rng.random(), 0.02 * rng.random()) for _ in range(100)
     ]
-    limits = limits_of(some, 1e-3)
+    limits = limits_of(some, [], 1e-3)
     assert limits is not None
     assert limits.height_mm == upper_bound([one.height_mm for one in some], 1e-3 / KINDS)
     assert limits.local_change == upper_bound([one.local_change for one in some], 1e-3 / KINDS)
@@ -76,6 +78,32 @@ def test_each_kind_of_evidence_has_a_part_of_the_rate() -> None:
 
 
 def test_heights_that_do_not_vary_must_double() -> None:
-    limits = limits_of([Evidence(0.006, 0.001 * k, 0.01) for k in range(20)], 1e-4)
+    limits = limits_of([Evidence(0.006, 0.001 * k, 0.01) for k in range(20)], [], 1e-4)
     assert limits is not None
     assert limits.height_mm == 0.012
+
+
+def test_limits_allow_for_what_a_pixel_of_drift_adds() -> None:
+    rng = np.random.default_rng(6)
+    some = [Evidence(0.02 * rng.random(), 0.004 * rng.random(), 0.0) for _ in range(60)]
+    moved = [[Evidence(0.05, -0.1, 0.0)] * 3, [Evidence(0.03, 0.009, 0.0)] * 2, []]
+    bare, limits = limits_of(some, [], 1e-4), limits_of(some, moved, 1e-4)
+    assert bare is not None
+    assert limits is not None
+    usual_mm = np.median([one.height_mm for one in some])
+    usual = np.median([one.local_change for one in some])
+    assert limits.height_mm == pytest.approx(bare.height_mm + 0.05 - usual_mm)
+    assert limits.local_change == pytest.approx(bare.local_change + 0.009 - usual)
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (5, 4, 3)])
+def test_a_picture_moves_in_four_ways(shape: tuple[int, ...]) -> None:
+    image = np.random.default_rng(7).integers(0, 256, shape, np.uint8)
+    down, up, right, left = (moved_by_a_pixel(image, way) for way in range(WAYS))
+    np.testing.assert_array_equal(down[1:], image[:-1])
+    np.testing.assert_array_equal(up[:-1], image[1:])
+    np.testing.assert_array_equal(right[:, 1:], image[:, :-1])
+    np.testing.assert_array_equal(left[:, :-1], image[:, 1:])
+    for moved, edge in ((down, 0), (up, -1)):
+        np.testing.assert_array_equal(moved[edge], image[edge])
+    np.testing.assert_array_equal(right[:, 0], image[:, 0])

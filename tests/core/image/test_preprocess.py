@@ -106,6 +106,16 @@ def test_glare_is_covered_and_the_rest_is_not(radius_px: float) -> None:
     assert not found[(apart > 3 * radius_px + 4 * calibrated(HALF, 0).pitch_px) & (mask > 0)].any()
 
 
+def test_faint_glare_lifts_the_darkest_pixels_of_a_place_and_a_touch_does_not() -> None:
+    preprocessor = Preprocessor(calibrated(HALF, 0), PROFILES["balanced"])
+    faint = camera_faults.glare(unloaded(), 118, 160, 12, 20)
+    assert preprocessor.preprocess(preprocessor.grey(faint)).unseen == 0
+    assert preprocessor.lift(faint) > 8
+    assert preprocessor.lift(unloaded()) < 5
+    assert preprocessor.lift(camera_faults.gain(unloaded(), 1.2)) < 5
+    assert preprocessor.lift(pressed("ball", 0.3).image) < 5
+
+
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 20), st.integers(0, 2**32 - 1))
 def test_the_glare_search_by_blocks_is_that_by_pixels(
     rows: int, cols: int, pitch: int, seed: int
