@@ -40,6 +40,7 @@ from tacshade_edge.studies.evaluate.work import reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import Calibration, Frame
 from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen
+from tools.studies.real_references import report_each
 from tools.studies.real_sets import SENSOR, SENSORS, SETS, RealFrame, thinned
 
 PROFILES = ("fast", "balanced", "accurate")
@@ -165,6 +166,11 @@ def fitted(calibration: Calibration) -> Calibration:
     return made.calibration
 
 
+def as_made(calibration: Calibration) -> Calibration:
+    """The calibration with the shipped networks."""
+    return calibration
+
+
 def report(name: str, frames: list[RealFrame], profiles: Sequence[str], fits: bool) -> None:
     """Measure a set and print its tables."""
     candidates, sensor = reference_candidates(frames), SENSORS.get(name, SENSOR)
@@ -232,11 +238,24 @@ def main() -> int:
     parser.add_argument(
         "--frames", type=int, default=500, metavar="N", help="of the set, evenly (500)"
     )
+    parser.add_argument(
+        "--references",
+        type=int,
+        metavar="N",
+        help="make each of N free frames, evenly spread, the only reference in turn",
+    )
     parser.add_argument("--fit", action="store_true", help="the networks to the reference")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     try:
-        report(args.set, thinned(SETS[args.set](args.clone), args.frames), args.profile, args.fit)
+        frames = SETS[args.set](args.clone)
+        if args.references:
+            made = fitted if args.fit else as_made
+            sensor = SENSORS.get(args.set, SENSOR)
+            counts = args.references, args.frames
+            report_each(frames, sensor, args.profile, counts, made)
+        else:
+            report(args.set, thinned(frames, args.frames), args.profile, args.fit)
     except (ConfigError, DecodeError) as error:
         print(f"real_frames.py: {error}", file=sys.stderr)
         return 1

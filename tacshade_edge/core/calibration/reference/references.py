@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.reference import pattern
+from tacshade_edge.core.calibration.reference import pattern, spacing
 from tacshade_edge.core.contact.gate import GATE_MM2, ContactGate
 from tacshade_edge.core.frame_check import camera, picture, plain_judges
 from tacshade_edge.core.frame_check.camera import Drift
@@ -48,7 +48,9 @@ _MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
 
 
 def reference_load_reason(preprocessor: Preprocessor) -> str:
-    """A message why the reference seems to have been taken under load; empty if it does not."""
+    """A message why the reference seems to have been taken under load; empty if it does not. The ratio of white shows
+    objects that press between markers, the spacing of the markers wide ones.
+    """
     g0, voting, geometry = (
         preprocessor.reference_g,
         preprocessor.voting,
@@ -68,7 +70,7 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
         return f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin around the centre"
     if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
         return f"the skin's centre seems pressed in the reference: its profile bends by {bend:.0f} grey levels"
-    return ""
+    return spacing.widening_reason(preprocessor.calibration.reference_grey, geometry)
 
 
 def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
