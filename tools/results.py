@@ -164,6 +164,7 @@ OLDER = (
     "limits",
     "paper",
     "tradeoff",
+    "image-size",
     "daemon",
     "real-frames",
     "slip",
