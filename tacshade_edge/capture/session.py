@@ -68,25 +68,27 @@ class Session:
         images = self.folder.references()
         unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
         self._use(unloaded or self._take_references())
-        self._unlabelled.take_missing()
+        typed = self._unlabelled.take_missing()
         while True:
-            match self.live.ask(self._prompt()).split():
+            words = (typed or self.live.ask(self._prompt())).split()
+            typed = ""
+            match words:
                 case ["done"]:
                     return
                 case ["help" | "?"]:
                     self.terminal.say(_HELP)
                 case ["references"]:
                     self._use(self._take_references())
-                    self._unlabelled.take_missing()
+                    typed = self._unlabelled.take_missing()
                 case ["rest"]:
-                    self._unlabelled.take_rest()
+                    typed = self._unlabelled.take_rest()
                 case ["touches"]:
-                    self._unlabelled.take_touches(anew=True)
+                    typed = self._unlabelled.take_touches(anew=True)
                 case ["undo", *numbers]:
                     self._undo(numbers)
                 case ["skip"]:
                     del (self._again or self.plan)[:1]
-                case words:
+                case _:
                     try:
                         self._press(words)
                     except ConfigError as error:

@@ -47,29 +47,32 @@ class Unlabelled:
     terminal: Terminal
     judge: Callable[[U8], Judgement]
 
-    def take_missing(self) -> None:
-        """Take what the folder lacks, if the person does not skip it. Raises InputEnded, DeviceError."""
-        if not self.folder.rest_pictures():
-            self.take_rest()
-        if len(self.folder.touch_pictures()) < TOUCHES:
-            self.take_touches()
+    def take_missing(self) -> str:
+        """Take what the folder lacks, if the person does not skip it. A person who types anything else, such as a
+        press, skips all of it: returns that line, else an empty one. Raises InputEnded, DeviceError.
+        """
+        instead = "" if self.folder.rest_pictures() else self.take_rest()
+        if instead or len(self.folder.touch_pictures()) >= TOUCHES:
+            return instead
+        return self.take_touches()
 
-    def take_rest(self) -> None:
-        """Record the untouched sensor; an earlier recording stays until this one is complete. Raises like
+    def take_rest(self) -> str:
+        """Record the untouched sensor; an earlier recording stays until this one is complete. Returns and raises like
         `take_missing`.
         """
-        if self.live.ask(_REST_TEXT) == _SKIP:
-            return
+        if answer := self.live.ask(_REST_TEXT):
+            return _instead(answer)
         taken, seconds = self._record()
         if taken < REST_LEAST:
             expected = f"expected at least {REST_LEAST}"
             self.terminal.say(f"  not kept: found {counted(taken, 'picture')}, {expected}")
-            return
+            return ""
         self.folder.finish_rest()
         self.terminal.say(
             f"  rest: {counted(taken, 'picture')} of the untouched sensor in {seconds:.0f} s"
         )
         self._warn_of_touched()
+        return ""
 
     def _record(self) -> tuple[int, float]:
         """Store frames at even times for `REST_S` or until a line is typed; how many, and for how many seconds."""
@@ -95,12 +98,12 @@ class Unlabelled:
             found = f"{touched} of {len(some)} look as if something touched the skin"
             self.terminal.say(f"  warning: {found}; if something did, type rest to repeat it")
 
-    def take_touches(self, *, anew: bool = False) -> None:
+    def take_touches(self, *, anew: bool = False) -> str:
         """Take touches until there are `TOUCHES` or the person ends it; `anew`: instead of those that the folder has.
-        Raises like `take_missing`.
+        Returns and raises like `take_missing`.
         """
-        if self.live.ask(_TOUCHES_TEXT) == _SKIP:
-            return
+        if answer := self.live.ask(_TOUCHES_TEXT):
+            return _instead(answer)
         if anew:
             self.folder.forget_touches()
         untouched = self.live.frames(STILL_FRAMES, _UNTOUCHED_S)
@@ -119,6 +122,7 @@ class Unlabelled:
             self.live.tell(f"touch {min(taken + 1, TOUCHES)} of {TOUCHES}: {advice}")
         self.live.tell("")
         self.terminal.say(f"  {counted(taken, 'unlabelled touch')}")
+        return ""
 
     def _advice(self, frame: Frame, blocks: F32, before: F32 | None, rest: ChangeFromRest) -> str:
         """What the person should do; empty if the picture shows a new touch that stands still."""
@@ -133,3 +137,8 @@ class Unlabelled:
         judged = self.judge(np.array(frame.image))
         unusable = judged.moved or (str(judged.unusable) if judged.unusable else "")
         return f"not taken: {unusable}" if unusable else ""
+
+
+def _instead(answer: str) -> str:
+    """The line that a person typed instead of starting; empty for `_SKIP`."""
+    return "" if answer == _SKIP else answer

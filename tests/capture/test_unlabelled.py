@@ -75,7 +75,7 @@ class Bench:
         self.texts.append(self._page.shown.text)
         return frame
 
-    def run(self, part: Callable[[], None], *parts: tuple[float, U8], **types: str) -> str:
+    def run(self, part: Callable[[], object], *parts: tuple[float, U8], **types: str) -> str:
         """What is said while the person types Enter at once, then other lines at `at_SECONDS`."""
         self.t_ns, self.picture = 0, shown(*parts)
         self.types = {0.0: ""} | {
@@ -178,7 +178,9 @@ def test_a_picture_that_calibrate_cannot_use_is_not_taken(bench: Bench) -> None:
 def test_both_can_be_left_out_and_touches_be_taken_anew(bench: Bench) -> None:
     bench.folder.add_touch(touched(50))
     bench.types = {0.0: "skip", 0.1: "skip"}
-    bench.made.take_missing()
+    assert bench.made.take_missing() == ""
+    bench.types = {0.0: "ball 6 2 0 0"}
+    assert bench.made.take_missing() == "ball 6 2 0 0"
     assert (len(bench.folder.rest_pictures()), len(bench.folder.touch_pictures())) == (0, 1)
     bench.run(lambda: bench.made.take_touches(anew=True), (1.5, FREE), (2, touched(110)), at_3="")
     (only,) = bench.folder.touch_pictures()
