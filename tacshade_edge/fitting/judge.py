@@ -185,12 +185,15 @@ def judged(
     unit_mm = calibration.geometry.skin_radius_mm * skin_radii(calibration)
     network = TorchNetwork(name)
     shipped, shipped_mm = network.flat(), unit_mm * training.error(network, maps)
+    # Without presses, σ shrinks as the error does on simulated frames.
+    sigma = load_network(name).sigma
 
     def part_of_the_way(part: float) -> FittedNetwork:
         made = shipped + np.float32(part) * (weights - shipped)
         network.load(made)
         off_mm = unit_mm * training.error(network, maps)
-        return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm)
+        scale = None if sigma is None else sigma.scale_without_presses * off_mm / shipped_mm
+        return FittedNetwork(shipped_layout(name), made, 0, off_mm, shipped_mm, error_scale=scale)
 
     if presses:
         own = calibration.factors.get(name, 1.0)
