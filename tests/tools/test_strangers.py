@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,6 @@ from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.simulator.render import project
 from tacshade_edge.types import F64
-
-pytest.importorskip("numba", reason="numba (the extra fit) is not installed")
-
 from tools.studies.strangers import evaluate, grid, lattices, layered, oblate, solve
 from tools.studies.strangers.camera import Camera
 from tools.studies.strangers.evaluate import Case, Judged, lines
@@ -31,6 +29,9 @@ from tools.studies.strangers.shell import Shell, ShellMaterial
 from tools.studies.strangers.solved import Solved, untouched
 from tools.studies.strangers.surface import Surface, seen, truth
 
+needs_numba = pytest.mark.skipif(
+    find_spec("numba") is None, reason="numba (the extra fit) is not installed"
+)
 BALL = Press(ball(5.0), x_mm=2.0, y_mm=-1.0, depth_mm=1.0)
 
 
@@ -145,6 +146,7 @@ def test_an_object_comes_from_above_and_ends_at_its_stop() -> None:
 # -- mechanics
 
 
+@needs_numba
 @pytest.mark.slow
 def test_forces_of_contact_push_within_the_friction_and_nothing_lies_inside() -> None:
     from tools.studies.strangers import contact
@@ -308,6 +310,7 @@ def test_a_solved_sensor_gives_touches_presses_and_truth(tmp_path: Path) -> None
     assert 1.0 < np.linalg.norm(apart[:2]) < 3.0
 
 
+@needs_numba
 @pytest.mark.slow
 def test_a_layered_skin_yields_and_dents_far_around(tmp_path: Path) -> None:
     skin = layered.drawn("working", 0)

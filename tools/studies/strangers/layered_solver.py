@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 
 from tacshade_edge.simulator.press import Press
 from tacshade_edge.types import F64
-from tools.studies.strangers import contact, grid
+from tools.studies.strangers import grid
 from tools.studies.strangers.hexahedra import Layer, Mesh, meshed, stiffness
 from tools.studies.strangers.layered import LayeredSkin
 from tools.studies.strangers.paths import States
@@ -42,6 +42,8 @@ class LayeredSolver:
 
     def solved(self, stops: tuple[Press, ...]) -> States:
         """Move an object through its stops."""
+        from tools.studies.strangers import contact  # numba is needed only here
+
         degrees = (3 * self._touchable[:, None] + np.arange(3)).ravel()
         own = self._compliance[degrees]
         forces = contact.solved(
