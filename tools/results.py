@@ -40,6 +40,7 @@ LONG = 30
 EVALUATE = "tools.studies.evaluate --final --objects"
 FIVE = "cube,small_crescent,ball,large_crescent,cylinder"
 REAL = "tools.studies.real_frames"
+DETECTION = "tools.studies.detection"
 FIT = "tools.studies.fit --folder out/fit/CODE --cases"
 """Its folder keeps finished cases, those of this CODE alone."""
 THIRD = "tools.studies.third_family.evaluate --range"
@@ -122,6 +123,14 @@ PAGES = {
             "Taps of a tilted plane, 127 pins": f"{REAL} pins out/real/Tac-VGNN",
         },
         code=(*JUDGES, "tacshade_edge/fitting"),
+    ),
+    "detection": Page(
+        {
+            "": f"{DETECTION} simulated --final --frames 40 --untouched 200",
+            "A pad whose force is known": f"{DETECTION} tilted out/real/tactile-manibot",
+            "Tips that sway": f"{DETECTION} raw out/real/aerial_tactile_servoing --step 4",
+            "Flat presses of stated depth": f"{DETECTION} flat out/real/TacTipFlexSim",
+        },
     ),
     "recognise": Page(
         {"": "tools.studies.recognise --final"}, code=("tacshade_edge/core/recognition",)
