@@ -75,11 +75,13 @@ def no_mark(stage: str) -> None:
 
 
 class Reconstructor:
-    """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except that one with the
-    untouched skin of an earlier frame gets that frame's result, and that a contact's dent is no touch for 3 s. `touch` is the profile's model, or the reason why it
-    cannot be used; a list collects the features of each requested touch for learning. A model may see less change than
-    the gate requires of a contact. `grid` and `rays` are those of every height map, `changed_part` is the part of the
-    picture that changed in the latest frame; `namer` names the objects, if any were taught.
+    """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except
+    that one with the untouched skin of an earlier frame gets that frame's result, and that what may
+    be a contact's dent is no touch for a few seconds. `touch` is the profile's model, or the reason
+    why it cannot be used; a list collects the features of each requested touch for learning. A model
+    may see less change than the gate requires of a contact. `grid` and `rays` are those of every
+    height map, `changed_part` is the part of the picture that changed in the latest frame; `namer`
+    names the objects, if any were taught.
     """
 
     def __init__(
