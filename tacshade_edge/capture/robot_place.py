@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from tacshade_edge.core.calibration.indenters import skin_z_mm
 from tacshade_edge.core.calibration.inputs import Sensor
 from tacshade_edge.core.calibration.machine import FixedIndenter, Touch, fixed_indenter
 from tacshade_edge.errors import ConfigError
@@ -107,15 +108,15 @@ def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str,
 
     With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now at q = now_T_first
     (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is
-    R_y(tilt_y) R_x(tilt_x) R_z(twist).
+    R_y(tilt_y) R_x(tilt_x) R_z(twist). The tip of a pad (r infinite) is (0, 0, 0).
 
     `first`, `now`: ``base_T_sensor``. `skin_radius_mm`: r.
     """
-    moved = now.inverse() @ first
-    x, y, z = moved.apply(np.array((0.0, 0.0, skin_radius_mm))).tolist()
+    moved, apex_mm = now.inverse() @ first, skin_z_mm(skin_radius_mm, 0.0, 0.0)
+    x, y, z = moved.apply(np.array((0.0, 0.0, apex_mm))).tolist()
     turned = moved.rotation
     return {
-        "depth_mm": skin_radius_mm - z,
+        "depth_mm": apex_mm - z,
         "tilt_x_deg": -math.degrees(math.asin(max(-1.0, min(1.0, turned[1, 2])))),
         "tilt_y_deg": math.degrees(math.atan2(turned[0, 2], turned[2, 2])),
         "shear_x_mm": x,

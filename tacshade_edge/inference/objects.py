@@ -12,6 +12,7 @@ from importlib import resources
 import numpy as np
 
 from tacshade_edge.core.geometry.disc import DiscRays
+from tacshade_edge.core.geometry.disc_map import with_finite_radius
 from tacshade_edge.core.recognition.answer import Recogniser
 from tacshade_edge.core.recognition.metric import Metric
 from tacshade_edge.core.recognition.naming import name_objects
@@ -38,7 +39,7 @@ def make_recogniser(known: Sequence[KnownObject]) -> Recogniser:
 
 def make_namer(known: Sequence[KnownObject], rays: DiscRays, geometry: Geometry) -> Namer:
     """Make what names the objects of a profile's frames, on the grid of its height maps."""
-    return partial(_named, make_recogniser(known), rays, geometry)
+    return partial(_named, make_recogniser(known), rays, with_finite_radius(geometry))
 
 
 def _named(

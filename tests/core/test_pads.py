@@ -27,8 +27,10 @@ from tacshade_edge.core.geometry.disc import (
     skin_planes,
     skin_points,
 )
+from tacshade_edge.core.geometry.disc_map import with_finite_radius
+from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.simulator.render import project
-from tacshade_edge.types import F32, F64, Geometry
+from tacshade_edge.types import F32, F64, Geometry, HeightMap
 
 GRID = disc_map.map_grid(DISC, 28)
 LENSES = st.none() | st.floats(10.0, 80.0)
@@ -177,3 +179,18 @@ def test_planes_of_a_pad_have_one_type() -> None:
     rays = disc_rays(GRID, flat)
     planes: F64 = skin_planes(heights(1, 2.0), rays, flat)
     assert planes.dtype == np.float32
+
+
+def test_a_touch_of_a_pad_has_a_finite_description() -> None:
+    flat = with_finite_radius(pad(27.0))
+    assert (flat.skin, flat.skin_radius_mm) == ("pad", flat.size_mm)
+    grid = disc_map.map_grid(DISC, 112)
+    rays = disc_rays(grid, flat)
+    x, y = skin_points(np.zeros(rays.inside.shape, np.float32), rays, flat)[..., :2].T
+    h_mm = np.maximum(2.0 - (x.T**2 + y.T**2) / 12, 0).astype(np.float32)
+    height = HeightMap(h_mm, h_mm > 0.2, grid.row0, grid.col0, grid.step_px)
+    description = describe_touch(height, rays, flat)
+    assert description is not None
+    assert np.isfinite(description).all()
+    dome = Geometry(20.0, 14.0, 50.0, DISC)
+    assert with_finite_radius(dome) is dome

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -117,3 +118,59 @@ def test_where_the_sensor_is_on_the_flange_is_seven_numbers(
     with pytest.raises(ConfigError) as caught:
         read_sensor(path)
     assert str(caught.value) == f"{path}:1: flange_T_sensor: {said}"
+
+
+PAD = "skin: pad\nvisible_radius_mm: 15\npolarity: dark\n"
+
+
+def test_a_pad_and_its_lens(tmp_path: Path) -> None:
+    sensor = read_sensor(sensor_file(tmp_path, PAD + "camera_distance_mm: 27\n"))
+    assert sensor == Sensor(math.inf, 27.0, 0.0, "dark", pad_radius_mm=15.0)
+    assert read_sensor(sensor_file(tmp_path, PAD)).camera_distance_mm is None
+
+
+def test_a_dome_states_its_half_angle_or_the_radius_of_its_visible_circle(tmp_path: Path) -> None:
+    for r_mm, half_angle_deg in ((20.0, 50.0), (1e4, math.degrees(math.asin(15 / 1e4)))):
+        circle_mm = r_mm * math.sin(math.radians(half_angle_deg))
+        text = f"skin: dome\nskin_radius_mm: {r_mm}\nvisible_radius_mm: {circle_mm!r}\n"
+        lens = f"camera_distance_mm: {27 - r_mm}\n"
+        sensor = read_sensor(sensor_file(tmp_path, text + lens))
+        assert (sensor.skin_radius_mm, sensor.camera_distance_mm) == (r_mm, 27 - r_mm)
+        assert sensor.visible_half_angle_deg == pytest.approx(half_angle_deg)
+        assert sensor.pad_radius_mm is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (PAD + "skin_radius_mm: 20\n", r":4: skin_radius_mm: found an unknown key"),
+        (PAD + "visible_half_angle_deg: 50\n", r":4: visible_half_angle_deg: found an unknown"),
+        (PAD + "camera_distance_mm: -3\n", r":4: camera_distance_mm: found -3"),
+        ("skin: pad\n", r": visible_radius_mm: found nothing"),
+        ("skin: flat\n" + LEAST, r":1: skin: found flat, expected one of dome, pad"),
+        (
+            "skin_radius_mm: 20\n",
+            r": visible_half_angle_deg: found neither it nor visible_radius_mm",
+        ),
+        (LEAST + "visible_radius_mm: 9\n", r":2: visible_half_angle_deg: found it and also"),
+        (
+            "skin_radius_mm: 20\nvisible_radius_mm: 20\n",
+            r":2: visible_radius_mm: found 20, expected at most 19\.9239",
+        ),
+        (
+            LEAST + "camera_distance_mm: -13\n",
+            r":4: camera_distance_mm: found -13, expected a lens behind the visible circle, above -12\.9",
+        ),
+    ],
+)
+def test_a_form_that_no_skin_has_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        read_sensor(sensor_file(tmp_path, text))
+
+
+def test_a_typed_value_of_a_pad_is_checked(tmp_path: Path) -> None:
+    assert check_value("visible_radius_mm", "15", "pad") == 15
+    with pytest.raises(
+        ConfigError, match=r"^camera_distance_mm: found -1, .*lens behind the skin's plane"
+    ):
+        check_value("camera_distance_mm", "-1", "pad")

@@ -36,11 +36,13 @@ EVERY_PROFILE = list(PROFILES)
 
 def sensor_of(model: SensorModel) -> Sensor:
     """The settings that a person would state for a simulated sensor."""
+    known = model.geometry
     return Sensor(
-        skin_radius_mm=model.skin_radius_mm,
-        camera_distance_mm=model.camera_distance_mm,
-        visible_half_angle_deg=model.visible_half_angle_deg,
+        skin_radius_mm=known.skin_radius_mm,
+        camera_distance_mm=known.camera_distance_mm,
+        visible_half_angle_deg=known.visible_half_angle_deg,
         polarity="dark" if model.pin_tip_reflectance > 0.5 else "bright",
+        pad_radius_mm=known.pad_radius_mm,
     )
 
 

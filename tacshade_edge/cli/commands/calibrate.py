@@ -24,6 +24,7 @@ from tacshade_edge.cli.shared.rest import (
     rest_warnings,
 )
 from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
+from tacshade_edge.core.calibration.indenters import skin_z_mm
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.pattern import CircleNotFoundError
@@ -126,10 +127,12 @@ def run(args: argparse.Namespace) -> int:
             args.parser.error(f"--{option.replace('_', '-')} has no effect without --presses")
     if args.touches and not args.fit:
         args.parser.error("--touches has no effect without --fit")
-    if args.fit:
-        need("--fit", "fit", "torch", "numba")  # large, and needed only here
     args.reference = images_in(args.reference)
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
+    if args.fit and sensor.pad_radius_mm is not None:
+        raise ConfigError("--fit: found a pad, expected a dome: a fit simulates no twin of a pad")
+    if args.fit:
+        need("--fit", "fit", "torch", "numba")  # large, and needed only here
     touches = _read_touches(args.touches, references[0]) if args.touches else []
     labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
@@ -202,7 +205,7 @@ def places_px(geometry: Geometry, presses: Sequence[KnownPress]) -> list[list[fl
     stated = np.array(
         [(one.x_mm, one.y_mm) for one in presses if one.x_mm is not None], np.float64
     ).reshape(-1, 2)
-    z_mm = np.sqrt(np.maximum(geometry.skin_radius_mm**2 - (stated * stated).sum(axis=1), 0))
+    z_mm = [skin_z_mm(geometry.skin_radius_mm, x, y) for x, y in stated.tolist()]
     found: list[list[float]] = project(geometry, np.column_stack((stated, z_mm))).tolist()
     return found
 

@@ -36,14 +36,19 @@ from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolde
 from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
 from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
 from tacshade_edge.storage.tables.presses import BALL, read_plan
-from tacshade_edge.types import Frame, Pose
+from tacshade_edge.types import Frame, Pose, Skin
 
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
-    "skin_radius_mm": "Radius of the undeformed skin, mm:",
+    "skin_radius_mm": "Radius of the undeformed skin, mm (pad: the skin is flat):",
     "visible_half_angle_deg": "Half angle of the part of the skin that the camera sees, at the skin's centre, degrees:",
     "camera_distance_mm": "Distance of the lens behind the skin's centre, mm (Enter if unknown):",
     "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
+}
+_PAD_QUESTIONS = {
+    "visible_radius_mm": "Radius of the circle of skin that the camera sees, mm:",
+    "camera_distance_mm": "Distance of the lens behind the untouched skin, mm (Enter if unknown):",
+    "polarity": _QUESTIONS["polarity"],
 }
 LEAST_TOUCHES = 8
 """What `calibrate --touches` needs (`fitting.explained`, which imports what only a fit needs)."""
@@ -235,19 +240,31 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
 def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
     """Read SENSOR.yaml; if there is none, ask the user for its values first. Raises ConfigError, InputEnded."""
     if not folder.sensor.exists():
-        values: dict[str, float | str] = {}
-        for key, question in _QUESTIONS.items():
-            while key not in values:
-                terminal.ask(question)
-                text = terminal.wait()
-                if not text and key in _MAY_BE_EMPTY:
-                    break
-                try:
-                    values[key] = check_value(key, text)
-                except ConfigError as error:
-                    terminal.say(f"  {error}")
+        values = _answers(terminal, _QUESTIONS, "dome")
+        if values is None:
+            values = {"skin": "pad", **(_answers(terminal, _PAD_QUESTIONS, "pad") or {})}
         folder.write(folder.sensor, yaml.safe_dump(values, sort_keys=False))
     return read_sensor(folder.sensor)
+
+
+def _answers(
+    terminal: Terminal, questions: Mapping[str, str], skin: Skin
+) -> dict[str, float | str] | None:
+    """The user's values for the keys of a dome or a pad; None if a dome turns out to be a pad. Raises InputEnded."""
+    values: dict[str, float | str] = {}
+    for key, question in questions.items():
+        while key not in values:
+            terminal.ask(question)
+            text = terminal.wait()
+            if text == "pad" and key == "skin_radius_mm":
+                return None
+            if not text and key in _MAY_BE_EMPTY:
+                break
+            try:
+                values[key] = check_value(key, text, skin)
+            except ConfigError as error:
+                terminal.say(f"  {error}")
+    return values
 
 
 def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> None:

@@ -9,7 +9,7 @@ import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import yaml
@@ -26,7 +26,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import counted
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator import pad as pads
-from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.simulator.model import SensorModel, flattened, random_model
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
 from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.tacshade import OBJECT_SCALE, TACSHADE
@@ -35,6 +35,7 @@ from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import png
 from tacshade_edge.storage.tables import frame_table, presses
 from tacshade_edge.studies.parallel import reported_map, workers
+from tacshade_edge.types import Skin
 
 MODELS = ("default", "tacshade")
 REFERENCES = 8
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--calibration-set",
         "DIR",
-        "folder for images of the untouched skin and of ball presses",
+        "folder for references and images of ball presses",
     )
     add_option(
         parser,
@@ -115,6 +116,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=MODELS[0],
         help="default, or tacshade, which gives Table I",
     )
+    parser.add_argument(
+        "--skin",
+        choices=get_args(Skin),
+        metavar="FORM",
+        default="dome",
+        help="dome (default), or pad, the same but flat",
+    )
     add_cluster(parser)
 
 
@@ -124,6 +132,7 @@ def run(args: argparse.Namespace) -> int:
     if args.cluster is not None and args.pad is None:
         args.parser.error("--cluster requires --pad: the other images take seconds")
     model = _model(args.model, args.sensor_seed)
+    model = flattened(model) if args.skin == "pad" else model
     sensor = SimulatedSensor(model)
     with disk_errors(Path()):
         if args.calibration_set is not None:
@@ -145,10 +154,11 @@ def _model(name: str, sensor_seed: int | None) -> SensorModel:
 
 
 def _write_sensor(model: SensorModel, folder: Path) -> None:
-    stated = {
-        name: getattr(model, name)
-        for name in ("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg")
-    }
+    names = ("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg")
+    stated = {name: getattr(model, name) for name in names}
+    if model.skin == "pad":
+        radius_mm = round(model.geometry.visible_radius_mm, 4)
+        stated = {"skin": "pad", "visible_radius_mm": radius_mm, names[1]: stated[names[1]]}
     keys = {name: value for name, value in stated.items() if value is not None} | {
         "polarity": "bright"
     }
@@ -227,6 +237,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     at = shlex.quote(str(args.out))
     seed = "" if args.sensor_seed is None else f" --sensor-seed {args.sensor_seed}"
     seed += "" if args.model == MODELS[0] else f" --model {args.model}"
+    seed += "" if args.skin == "dome" else f" --skin {args.skin}"
     print(f"next:\n  tacshade-edge simulate --calibration-set {at}/sensor{seed}")
     print(_calibrate(f"{at}/sensor", f" --presses {at}/sensor/PRESSES.csv"))
     print(f"  tacshade-edge evaluate --images {at} --calibration {at}/sensor/calibration.npz")
@@ -269,10 +280,10 @@ def write_pad(
     cluster: str | None = None,
 ) -> None:
     """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
-    pad, radius_mm = pads.touchpad(), model.skin_radius_mm
+    pad, apex_mm = pads.touchpad(), model.geometry.apex_z_mm
     if not 0.5 <= step_mm <= 20:
         raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, expected 0.5 to 20 mm")
-    poses = pads.scan(pad, step_mm, depth_mm, radius_mm)
+    poses = pads.scan(pad, step_mm, depth_mm, apex_mm)
     folder.mkdir(parents=True, exist_ok=True)
     _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide
     _write_references(_sensor(model), folder, seed)
@@ -284,7 +295,7 @@ def write_pad(
             names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True
         ):
             (folder / name).write_bytes(data)
-    noisy = pads.disturbed(poses, radius_mm, _NOISE_MM, _NOISE_DEG, seed)
+    noisy = pads.disturbed(poses, apex_mm, _NOISE_MM, _NOISE_DEG, seed)
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [
             (name, *(f"{v:.6f}" for v in pose.seven()))
@@ -313,5 +324,5 @@ def _sensor(model: SensorModel) -> SimulatedSensor:
 def _image(task: tuple[SensorModel, tuple[float, ...], int]) -> bytes:
     """Return the image of a press as the bytes of a PNG file."""
     model, pose, noise_seed = task
-    shape = pads.touchpad().under(from_seven(pose), model.skin_radius_mm)
+    shape = pads.touchpad().under(from_seven(pose), model.geometry.apex_z_mm)
     return png(_sensor(model).frame((Press(shape, 0.0, 0.0, 0.0),), noise_seed).image)

@@ -20,6 +20,7 @@ from tacshade_edge.cli.shared.options import (
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.touches import TOO_LIGHT, touched_images, without_names
 from tacshade_edge.core.geometry.disc import Grid, disc_rays
+from tacshade_edge.core.geometry.disc_map import with_finite_radius
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -162,7 +163,7 @@ def _described(results: Iterable[Result]) -> Iterator[tuple[str, F32, float]]:
         rows, cols = deepest.height_mm.shape
         grid = Grid(rows, cols, deepest.row0, deepest.col0, deepest.step_px)
         rays = disc_rays(grid, deepest.geometry)
-        description = describe_touch(height, rays, deepest.geometry)
+        description = describe_touch(height, rays, with_finite_radius(deepest.geometry))
         if description is None:
             warn(TOO_LIGHT)
         else:

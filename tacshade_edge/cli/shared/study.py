@@ -82,6 +82,10 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
             f"{args.images}: found no folder, expected one with images and their ground truth (.npz)"
         )
     calibration, paths = calibrations.load(args.calibration), images_in([args.images])
+    if calibration.geometry.skin == "pad":
+        raise ConfigError(
+            f"{args.calibration}: found a pad, expected a dome, which truth is read for"
+        )
     make_folder(args.out)
     mistakes: list[str] = []
     report = Progress()

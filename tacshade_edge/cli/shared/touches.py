@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tacshade_edge.cli.shared.progress import Progress
+from tacshade_edge.core.geometry.disc_map import with_finite_radius
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.errors import DecodeError
@@ -54,8 +55,9 @@ def touched_images(
             progress.warn(f"{path}: invalid: {text_of(wrong.reason)}")
             yield None
             continue
+        geometry = with_finite_radius(calibration.geometry)
         descriptions = {
-            name: describe_touch(results[name].height, each.rays, calibration.geometry)
+            name: describe_touch(results[name].height, each.rays, geometry)
             if results[name].contact
             else None
             for name, each in made.items()

@@ -157,7 +157,11 @@ def _unloaded(sensor: Sensor, greys: Sequence[U8]) -> Calibration:
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
         geometry=Geometry(
-            sensor.skin_radius_mm, sensor.camera_distance_mm, sensor.visible_half_angle_deg, disc
+            sensor.skin_radius_mm,
+            sensor.camera_distance_mm,
+            sensor.visible_half_angle_deg,
+            disc,
+            sensor.pad_radius_mm,
         ),
         polarity=sensor.polarity or "bright",
         binarisation=sensor.binarisation or choose_binarisation(mean, disc, pitch_px),

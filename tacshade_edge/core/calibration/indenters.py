@@ -19,7 +19,7 @@ SIDES = 128
 """Number of flats of a round side."""
 # Heights of an upright shape's corners, mm: the last is beyond any skin.
 _LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
-# Triangles nearer to the lens than this, in skin radii, are ignored: no image shows them.
+# Triangles nearer to the lens than this, in skin sizes, are ignored: no image shows them.
 _LEAST_RANGE = 1e-3
 # The search for the first touch ends at a step below this (skin radii), or after this many steps.
 _TOUCH_STEP, _TOUCH_STEPS = 1e-9, 200
@@ -39,10 +39,14 @@ class Ball:
 
     def depth_max_mm(self, skin_radius_mm: float) -> float:
         """Greatest h of the skin under it, mm."""
+        if math.isinf(skin_radius_mm):
+            return self.radius_mm - self.z_mm
         return skin_radius_mm - math.hypot(self.x_mm, self.y_mm, self.z_mm) + self.radius_mm
 
     def first_touch_mm(self, skin_radius_mm: float) -> float:
         """The depth at which it first touches the undeformed skin, moving along -z: at most 0."""
+        if math.isinf(skin_radius_mm):
+            return 0.0
         touch_z = skin_z_mm(skin_radius_mm + self.radius_mm, self.x_mm, self.y_mm)
         return skin_z_mm(skin_radius_mm, self.x_mm, self.y_mm) - (touch_z - self.radius_mm)
 
@@ -70,10 +74,14 @@ class PlacedIndenter:
 
     def depth_max_mm(self, skin_radius_mm: float) -> float:
         """Greatest h of the skin under it, mm; negative if it is above the skin."""
+        if math.isinf(skin_radius_mm):
+            return -float(self.triangles_mm[..., 2].min())
         return skin_radius_mm - float(np.linalg.norm(_nearest(self.triangles_mm)))
 
     def first_touch_mm(self, skin_radius_mm: float) -> float:
         """Find the depth in mm at which it first touched the undeformed skin, moving along -z; else its own depth."""
+        if math.isinf(skin_radius_mm):
+            return self.depth_mm + float(self.triangles_mm[..., 2].min())
         lifted, travel = self.triangles_mm + 0.0, 0.0
         for _ in range(_TOUCH_STEPS):
             x, y, z = _nearest(lifted)[0]
@@ -94,21 +102,25 @@ class PlacedIndenter:
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
         """Heights h (rows, cols) where camera rays first meet the surface; NaN outside disc and undeformed skin."""
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
-        near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
+        lowest = self.triangles_mm[..., 2].min(axis=1)
+        flat = geometry.skin == "pad"
+        near = lowest < 0
+        if not flat:
+            near = np.linalg.norm(_nearest(self.triangles_mm, of_each=True), axis=1) < r
         if d is not None:
-            near &= self.triangles_mm[..., 2].min(axis=1) > _LEAST_RANGE * r - d
+            near &= lowest > _LEAST_RANGE * geometry.size_mm - d
         # Project: planes stay planes, and the highest point is the one that a ray meets first.
         x, y, z = np.moveaxis(self.triangles_mm[near], -1, 0)
         u, v = rays.u.astype(np.float64), rays.v.astype(np.float64)
         if d is None:
             z = -_upper_envelope(np.stack((x, y, -z), axis=-1), u[0], v[:, 0])
-            distance = np.sqrt(u * u + v * v + z * z)
+            height = -z if flat else r - np.sqrt(u * u + v * v + z * z)
         else:
             s = 1 / _upper_envelope(
                 np.stack((x, y, np.ones_like(z)), axis=-1) / (z + d)[..., None], u[0], v[:, 0]
             )
-            distance = np.sqrt(s * s * (u * u + v * v) + (s - d) ** 2)
-        return np.where(rays.inside & (distance < r), r - distance, np.nan).astype(np.float32)
+            height = d - s if flat else r - np.sqrt(s * s * (u * u + v * v) + (s - d) ** 2)
+        return np.where(rays.inside & (height > 0), height, np.nan).astype(np.float32)
 
 
 Placed = Ball | PlacedIndenter
@@ -144,7 +156,9 @@ def mesh(name: str, triangles_mm: F64) -> Indenter:
 
 
 def skin_z_mm(skin_radius_mm: float, x_mm: float, y_mm: float) -> float:
-    """The undeformed skin's z at (x, y), mm; 0 outside."""
+    """The undeformed skin's z at (x, y), mm; 0 beside a dome and on a pad, whose radius is infinite."""
+    if math.isinf(skin_radius_mm):
+        return 0.0
     return math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
 
 
@@ -179,7 +193,11 @@ def stated_ball(
 
 
 def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: float) -> Ball:
-    """Place a ball in the direction from O of the middle of its contact, which is also that of its centre."""
+    """Place a ball in the direction from O of the middle of its contact, which is also that of its centre; on a pad,
+    `along` is that middle.
+    """
+    if math.isinf(skin_radius_mm):
+        return stated_ball(skin_radius_mm, float(along[0]), float(along[1]), depth_mm, radius_mm)
     reach = skin_radius_mm - depth_mm + radius_mm
     for _ in range(8):
         reach = (
@@ -220,6 +238,8 @@ def ball_height_along(geometry: Geometry, ball: Ball, u: F64, v: F64) -> F64:
     inside = ball.radius_mm**2 - (_dot(offset, offset) - foot * foot)
     s = foot - np.sqrt(np.where(inside > 0, inside, np.nan))
     met = (origin[0] + s * along[0], origin[1] + s * along[1], origin[2] + s * along[2])
+    if geometry.skin == "pad":
+        return np.asarray(-met[2])
     return np.asarray(geometry.skin_radius_mm - np.sqrt(_dot(met, met)))
 
 

@@ -12,7 +12,9 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """SENSOR.yaml; stated circle, polarity, binarisation and, for ``--fit``, `print_mm` override what is found."""
+    """SENSOR.yaml, with a pad as in `Geometry`; stated circle, polarity, binarisation and, for ``--fit``, `print_mm`
+    override what is found.
+    """
 
     skin_radius_mm: float
     camera_distance_mm: float | None
@@ -23,6 +25,7 @@ class Sensor:
     flange_T_sensor: tuple[float, ...] = IDENTITY_POSE
     visible_circle: Disc | None = None
     print_mm: Mapping[str, float] = field(default_factory=dict)
+    pad_radius_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,8 @@ def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
     lowest point is still above the skin. Raises ConfigError if the press states no place over the skin.
     """
     r = skin_radius_mm
+    if math.isinf(r):
+        return press
     first_mm = replace(press, depth_mm=r / 2).placed(r).first_touch_mm(r)
     if not math.hypot(press.x_mm or 0.0, press.y_mm or 0.0) < r:
         expected = f"expected a place within the skin's radius of {r:g} mm"
@@ -70,7 +72,8 @@ def fixed_indenter(
 
 
 def _over_skin_mm(x_mm: float, y_mm: float, skin_radius_mm: float) -> float:
-    if not (z_mm := skin_z_mm(skin_radius_mm, x_mm, y_mm)) > 0:
+    z_mm = skin_z_mm(skin_radius_mm, x_mm, y_mm)
+    if not z_mm > 0 and math.isfinite(skin_radius_mm):
         raise ValueError(
             f"x {x_mm:.1f}, y {y_mm:.1f} mm lies outside a skin of radius {skin_radius_mm:g} mm"
         )

@@ -20,12 +20,12 @@ from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocess
 from tacshade_edge.types import F32, F64, Geometry
 
 # χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening, plus a floor (grey levels), so that a contact without a
-# visible rim has a depth; ℓ of the screened Poisson equation, in skin radii.
+# visible rim has a depth; ℓ of the screened Poisson equation, in skin sizes.
 DARKENING_WEIGHT, DARKENING_FLOOR, REACH_RADII = 0.5, 0.3, 0.4
 # Part of the reach for the brightening, so that the bright spots between pins merge into one patch. Skin around a
 # contact's dark rim brightens a little too: subtract this much (grey levels).
 BRIGHTENING_REACH, LEAST_BRIGHTENING = 0.22, 6.0
-# Radius of a usual ball, in skin radii.
+# Radius of a usual ball, in skin sizes.
 _USUAL_BALL_RADII = 0.3
 
 
@@ -124,11 +124,7 @@ def observe_press(
 ) -> PressObservation:
     """Measure the change in the image of a press with the sensor's preprocessor and grey maps."""
     geometry = preprocessor.calibration.geometry
-    reach = (
-        REACH_RADII
-        * geometry.skin_radius_mm
-        / (preprocessor.profile.stride_px * geometry.mm_per_px)
-    )
+    reach = REACH_RADII * geometry.size_mm / (preprocessor.profile.stride_px * geometry.mm_per_px)
     maps = mapper.maps(preprocessor.preprocess(preprocessor.grey(press.image)))
     change = screened_change(maps, reach)
     bright = screened_brightening(maps, reach)
@@ -154,7 +150,7 @@ def observe_press(
     assert isinstance(placed, PlacedIndenter)
     return replace(
         made,
-        radius_mm=_USUAL_BALL_RADII * geometry.skin_radius_mm,
+        radius_mm=_USUAL_BALL_RADII * geometry.size_mm,
         indenter=press.indenter.name,
         touch_mm=placed.first_touch_mm(geometry.skin_radius_mm),
         reach_mm=_reach_mm(placed, preprocessor.rays, geometry),

@@ -50,7 +50,7 @@ def missing_coverage(presses: Sequence[PressObservation], geometry: Geometry) ->
 
 
 def _missing_places(places: F64, geometry: Geometry) -> str:
-    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    visible_mm = geometry.visible_radius_mm
     middle = places.mean(axis=0)
     rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
     reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
@@ -66,11 +66,11 @@ def _missing_places(places: F64, geometry: Geometry) -> str:
 
 
 def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
-    shallow_mm, deep_mm = (part * geometry.skin_radius_mm for part in _DEPTHS)
+    shallow_mm, deep_mm = (part * geometry.size_mm for part in _DEPTHS)
     if high_mm < _DEPTH_RATIO * low_mm:
         wanted = f"{shallow_mm:.1f} to {deep_mm:.1f} mm"
         return f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: add some from {wanted}"
-    if high_mm < _LEAST_DEEPEST * geometry.skin_radius_mm:
+    if high_mm < _LEAST_DEEPEST * geometry.size_mm:
         return f"no press is deeper than {high_mm:.1f} mm: add some down to {deep_mm:.1f} mm"
     return ""
 
@@ -80,7 +80,7 @@ def _missing_sizes(presses: Sequence[PressObservation], geometry: Geometry) -> s
     radii = [press.radius_mm for press in presses if not press.indenter]
     if len(indenters) > 1 or (radii and max(radii) >= _BALL_RADIUS_RATIO * min(radii)):
         return ""
-    low_mm, high_mm = (part * geometry.skin_radius_mm for part in _BALL_RADII)
+    low_mm, high_mm = (part * geometry.size_mm for part in _BALL_RADII)
     used = indenters.pop()
     if radii:
         used = f"balls of radius {min(radii):g}{f' to {max(radii):g}' if max(radii) > min(radii) else ''} mm"

@@ -50,14 +50,14 @@ _UNLIKE_PART = 0.03
 
 
 def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
-    """The unit vector from O to the middle of the contact; None if there is hardly a contact."""
+    """The unit vector from O to the middle of the contact, on a pad that middle; None if there is hardly a contact."""
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     contact = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(contact) < LEAST_CELLS:
         return None
     points = skin_points(np.maximum(inverse.height_mm, 0), rays, geometry)
     middle = points[contact].astype(np.float64).mean(axis=0)
-    return np.asarray(middle / np.linalg.norm(middle))
+    return np.asarray(middle if geometry.skin == "pad" else middle / np.linalg.norm(middle))
 
 
 def press_factor(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tacshade_edge.core.geometry.disc import DiscRays, Grid, cells_in_image, disc_rays
@@ -57,6 +59,13 @@ def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
     rays = disc_rays(grid, calibration.geometry)
     in_image = cells_in_image(grid, calibration.image_height_px, calibration.image_width_px)
     return DiscRays(inside=rays.inside & in_image, u=rays.u, v=rays.v)
+
+
+def with_finite_radius(geometry: Geometry) -> Geometry:
+    """A pad with its size for a radius, for what compares sensors by their radii; a dome as it is."""
+    if geometry.skin == "dome":
+        return geometry
+    return replace(geometry, skin_radius_mm=geometry.size_mm)
 
 
 def skin_scale(geometry: Geometry) -> float:

@@ -27,6 +27,22 @@ Press = Callable[..., None]
 
 
 @pytest.mark.slow
+def test_a_pad_is_described_by_what_it_has(tmp_path: Path, config: Path) -> None:
+    out = tmp_path / "pad"
+    with person(str(out), "--config", str(config)) as one:
+        one.hears("Radius of the undeformed skin, mm (pad: the skin is flat)")
+        one.types("pad")
+        one.hears("Radius of the circle of skin that the camera sees")
+        one.types("-3")
+        one.hears("visible_radius_mm: found -3, expected a number from 1 to 200")
+        for answer in ("15", "27", ""):
+            one.types(answer)
+        one.hears("live picture: http://127.0.0.1:")
+    sensor = read_sensor(out / "SENSOR.yaml")
+    assert (sensor.pad_radius_mm, sensor.camera_distance_mm, sensor.polarity) == (15, 27, None)
+
+
+@pytest.mark.slow
 def test_from_an_empty_folder_to_what_calibrate_reads(
     tmp_path: Path, config: Path, press: Press
 ) -> None:
@@ -35,7 +51,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
     with person(str(out), "--config", str(config), "--plan", str(plan)) as one:
         one.hears("Radius of the undeformed skin")
         one.types("0.02")
-        one.hears("skin_radius_mm: found 0.02, expected a number from 1 to 200")
+        one.hears("skin_radius_mm: found 0.02, expected a number from 1 to 10000")
         model = SensorModel()
         for answer in (
             model.skin_radius_mm,

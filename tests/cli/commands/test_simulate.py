@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import shlex
 from pathlib import Path
 
@@ -170,3 +171,30 @@ def test_what_cannot_be_is_one_line(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert message in error
+
+
+def test_a_pad_is_calibrated_like_a_dome(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at, out = tmp_path / "sensor", tmp_path / "scenes"
+    words = ["--calibration-set", str(at), "--presses", "10", "--out", str(out)]
+    assert main(["simulate", "--skin", "pad", *words, "--objects", "none,ball"]) == 0
+    assert "--calibration-set" in (printed := capsys.readouterr().out)
+    assert " --skin pad" in printed
+    stated = yaml.safe_load((at / "SENSOR.yaml").read_text(encoding="utf-8"))
+    assert stated["skin"] == "pad"
+    assert stated["visible_radius_mm"] == pytest.approx(HALF.geometry.visible_radius_mm, abs=1e-3)
+    assert "skin_radius_mm" not in stated
+    made = str(at / "calibration.npz")
+    given = ["--sensor", str(at / "SENSOR.yaml"), "--reference", *map(str, at.glob("reference_*"))]
+    presses = ["--presses", str(at / "PRESSES.csv")]
+    assert main(["calibrate", *given, *presses, "--out", made]) == 0
+    assert main(["evaluate", "--images", str(out), "--calibration", made]) == 78
+    assert "found a pad, expected a dome" in capsys.readouterr().err
+    images = [str(path) for path in sorted(out.glob("*.png"))]
+    assert main(["reconstruct", "--calibration", made, "--out", str(tmp_path / "r"), *images]) == 0
+    none, pressed = json.loads((tmp_path / "r" / "summary.json").read_text(encoding="utf-8"))
+    assert (none["contact"], pressed["contact"]) == (False, True)
+    assert pressed["depth_max_mm"] == pytest.approx(3.0, abs=1.0)
+    assert main(["calibrate", *given, "--fit", "--out", made]) == 78
+    assert "--fit: found a pad, expected a dome" in capsys.readouterr().err

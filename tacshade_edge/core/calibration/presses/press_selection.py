@@ -104,7 +104,7 @@ def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometr
 
 def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
     scale = skin_scale(geometry)
-    visible_mm = geometry.skin_radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg))
+    visible_mm = geometry.visible_radius_mm
     places = np.array([o.place_mm for o in observations])
     rho2 = np.minimum((places**2).sum(axis=1) / visible_mm**2, 1.5)
     columns = [
@@ -290,11 +290,11 @@ def select_presses(
 
 def _impossible(calibration: Calibration, press: KnownPress) -> str:
     """Why this cannot be a press of the sensor; empty if it can."""
-    r = calibration.geometry.skin_radius_mm
+    most_mm = calibration.geometry.height_max_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
         expected = f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the reference"
         return f"found {press.image.shape[1]}x{press.image.shape[0]} px, {expected}"
-    if not 0 < press.depth_mm < r or not (press.indenter or press.radius_mm > 0):
+    if not 0 < press.depth_mm < most_mm or not (press.indenter or press.radius_mm > 0):
         found = f"found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm"
-        return f"{found}, expected a depth above 0 and below {r} mm and a radius above 0"
+        return f"{found}, expected a depth above 0 and below {most_mm:g} mm and a radius above 0"
     return ""

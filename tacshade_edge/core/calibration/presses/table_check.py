@@ -94,18 +94,21 @@ def size_mistake(
     depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
 ) -> str:
     """A wrong size of the skin or of all balls, by median ratios of shown to stated depths and radii (NaN: unknown)."""
-    places = _place_factor(observations, geometry.skin_radius_mm)
+    places = _place_factor(observations, geometry.size_mm)
     skin = math.nan
     if math.isfinite(places):
         skin = places if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
     elif _beyond(ball, _SKIN_BALL_FACTORS) and _beyond(depth, _SKIN_DEPTH_FACTORS):
         skin = math.sqrt(ball * depth)
     if math.isfinite(skin):
-        radius_mm = geometry.skin_radius_mm
+        key, radius_mm = "skin_radius_mm", geometry.skin_radius_mm
+        if geometry.skin == "pad":
+            key, radius_mm = "visible_radius_mm", geometry.visible_radius_mm
         asked = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
+        expected = f"expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
         return (
-            f"SENSOR.yaml: skin_radius_mm: found {radius_mm:g}, but with it the images show presses about {skin:.1f} "
-            f"times as large as PRESSES.csv: is it {asked}? expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
+            f"SENSOR.yaml: {key}: found {radius_mm:g}, but with it the images show presses about "
+            f"{skin:.1f} times as large as PRESSES.csv: is it {asked}? {expected}"
         )
     if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
         asked = "are they diameters?" if ball < 1 else "are they halved?"
@@ -116,7 +119,7 @@ def size_mistake(
     return ""
 
 
-def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: float) -> float:
+def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> float:
     """Ratio of the balls' shown to stated distances from the middle; NaN if too little is stated."""
     balls = [o for o in observations if o.x_mm is not None and not o.indenter]
     if len(balls) < _LEAST_SIZED:
@@ -124,7 +127,7 @@ def _place_factor(observations: Sequence[PressObservation], skin_radius_mm: floa
     stated = np.array([o.place_mm for o in balls])
     shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
     squares = float((stated * stated).sum())
-    if squares < len(stated) * (_LEAST_REACH_RADII * skin_radius_mm) ** 2:
+    if squares < len(stated) * (_LEAST_REACH_RADII * size_mm) ** 2:
         return math.nan
     return float((shown * stated).sum() / squares)
 

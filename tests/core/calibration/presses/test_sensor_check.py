@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from tacshade_edge.core.calibration.presses.press_check import PressCheck
 from tacshade_edge.core.calibration.presses.sensor_check import wrong_keys
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
+from tacshade_edge.simulator.model import SensorModel, flattened
 
 
 def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) -> str:
@@ -38,6 +40,44 @@ def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) 
 )
 def test_a_wrong_key_is_among_those_that_the_presses_name(key: str, factor: float) -> None:
     assert f"{key}: found " in found(key, factor)
+
+
+FORMS = {"dome": HALF, "pad": flattened(HALF)}
+
+
+def said_of(pressed: SensorModel, stated: SensorModel) -> str:
+    """What the presses of one sensor say of the SENSOR.yaml of another with the same picture."""
+    unloaded = calibrate(sensor_of(stated), references(pressed)).calibration
+    check = PressCheck(unloaded, load_networks()["accurate"])
+    seen = [check.see(check.observe(one), one) for one in presses(pressed)]
+    return wrong_keys(seen, unloaded.geometry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+def test_a_skin_of_the_stated_form_is_not_doubted(form: str) -> None:
+    assert said_of(FORMS[form], FORMS[form]) == ""
+
+
+@pytest.mark.slow
+def test_a_pad_that_is_called_a_dome_is_named_with_its_size_and_lens() -> None:
+    said = said_of(FORMS["pad"], FORMS["dome"])
+    found = "skin: found a dome (skin_radius_mm 20, visible_half_angle_deg 50, camera_distance_mm"
+    assert said.startswith(f"SENSOR.yaml: {found}")
+    assert "expected a pad (visible_radius_mm 15, camera_distance_mm " in said
+
+
+@pytest.mark.slow
+def test_a_dome_that_is_called_a_pad_is_named_with_its_radius_and_lens() -> None:
+    said = said_of(FORMS["dome"], FORMS["pad"])
+    found = r"skin: found a pad \(visible_radius_mm 15, camera_distance_mm 27\)"
+    dome = (
+        r"a dome \(skin_radius_mm (\d+), visible_half_angle_deg (\d+), camera_distance_mm -?\d+\)"
+    )
+    named = re.search(f"{found}, expected {dome} by the presses", said)
+    assert named is not None
+    assert int(named[1]) == pytest.approx(20, abs=3)
+    assert int(named[2]) == pytest.approx(50, abs=10)
 
 
 @pytest.mark.slow
