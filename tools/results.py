@@ -43,6 +43,7 @@ REAL = "tools.studies.real_frames"
 DETECTION = "tools.studies.detection"
 FIT = "tools.studies.fit --folder out/fit/CODE --cases"
 """Its folder keeps finished cases, those of this CODE alone."""
+STRANGERS = "tools.studies.strangers.evaluate --states out/strangers --folder out/strangers/kept"
 THIRD = "tools.studies.third_family.evaluate --range"
 FRAME = ("tacshade_edge/core", "tacshade_edge/inference")
 """What a frame passes."""
@@ -146,6 +147,14 @@ PAGES = {
             "": f"{FIT} 9028/none,other:9028/none,9029/none,other:9029/none",
             "With 40 presses": f"{FIT} 9028,other:9028,9029,other:9029",
             "What the fit knows": f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep",
+        },
+    ),
+    "strangers": Page(
+        {
+            "": f"{STRANGERS} --families third --range final --sensors 2 --ways none,touches",
+            "A layered skin": f"{STRANGERS} --families layered --range final --sensors 1 --ways none,touches",
+            "An oblate skin": f"{STRANGERS} --families oblate --sensors 1 --ways none,touches",
+            "Do touches rank maps?": "tools.studies.strangers.explained --states out/strangers --sensors 1",
         },
     ),
     "third-family": Page(

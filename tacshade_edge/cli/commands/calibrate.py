@@ -29,6 +29,7 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.machine import from_travel
 from tacshade_edge.core.calibration.reference.pattern import CircleNotFoundError
 from tacshade_edge.core.calibration.reference.references import rezero
+from tacshade_edge.core.depth.learned import FLAT_DEG
 from tacshade_edge.core.frame_check import camera
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
@@ -129,8 +130,11 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error("--touches has no effect without --fit")
     args.reference = images_in(args.reference)
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
-    if args.fit and sensor.pad_radius_mm is not None:
-        raise ConfigError("--fit: found a pad, expected a dome: a fit simulates no twin of a pad")
+    if args.fit and sensor.visible_half_angle_deg < FLAT_DEG:
+        raise ConfigError(
+            f"--fit: {args.sensor} states a pad or a dome of less than {FLAT_DEG:g} degrees, expected a rounder one: "
+            "a fit simulates no twin of a flat skin"
+        )
     if args.fit:
         need("--fit", "fit", "torch", "numba")  # large, and needed only here
     touches = _read_touches(args.touches, references[0]) if args.touches else []

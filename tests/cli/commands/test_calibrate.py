@@ -466,6 +466,23 @@ def test_a_refused_fit_writes_the_calibration_and_exits_1(
     assert not calibration_file.load(out).fitted
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        "skin: pad\nvisible_radius_mm: 15",
+        "skin_radius_mm: 200\nvisible_half_angle_deg: 8",
+    ],
+)
+def test_a_flat_skin_is_not_fitted(
+    words: list[str], form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flat = tmp_path / "SENSOR.yaml"
+    flat.write_text(f"{form}\ncamera_distance_mm: 30\n")
+    given = [str(flat) if word.endswith("SENSOR.yaml") else word for word in words]
+    assert main(["calibrate", *given, "--fit", "--out", str(tmp_path / "cal.npz")]) == 78
+    assert "a fit simulates no twin of a flat skin" in capsys.readouterr().err
+
+
 def test_touches_of_another_size_are_refused(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
