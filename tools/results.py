@@ -152,8 +152,8 @@ PAGES = {
     "strangers": Page(
         {
             "": f"{STRANGERS} --families third --range final --sensors 2 --ways none,touches",
-            "A layered skin": f"{STRANGERS} --families layered --range final --sensors 1 --ways none,touches",
-            "An oblate skin": f"{STRANGERS} --families oblate --sensors 1 --ways none,touches",
+            "A layered skin": f"{STRANGERS} --families layered --range final --sensors 2 --ways none",
+            "An oblate skin": f"{STRANGERS} --families oblate --sensors 4 --ways=",
             "Do touches rank maps?": "tools.studies.strangers.explained --states out/strangers --sensors 1",
         },
     ),
