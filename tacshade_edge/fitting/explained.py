@@ -31,8 +31,8 @@ from tacshade_edge.types import F32, F64, U8, Calibration, Frame, Geometry, Reco
 
 SMOOTH_CELLS = 4.0
 """Smoothing of the compared white: about a pitch, because where the edge of one tip lies says little of heights."""
-LEAST_CHANGE = 0.02
-"""RMS of the white's change over the disc below which a picture is no touch to judge by."""
+LEAST_CHANGE = 0.01
+"""RMS of the white's change over the disc below which a picture is no touch to judge by; noise changes 0.003."""
 LIKELY = 1.02
 """A kind of print that leaves at most this many times the best one's part of the reference unexplained belongs to the
 cloud. Kinds that leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
@@ -181,15 +181,7 @@ def chosen_prints(
         return None
     touches = Touches(calibration, tried[0], images)
     made = {name: touches.reconstructed(calibration, name) for name in JUDGES}
-    tried = [
-        each
-        for found in tried
-        for each in (
-            [with_length(found, length) for length in LENGTHS_PITCHES]
-            if found.kind.white_tips and not (stated and not found.kind.patches)
-            else [found]
-        )
-    ]
+    tried = _with_lengths(tried, stated)
 
     def left(found: Found) -> float:
         picture = Picture(calibration, found)
@@ -208,3 +200,36 @@ def chosen_prints(
         lefts[best],
         Touches(calibration, found, images),
     )
+
+
+def _with_lengths(prints: Sequence[Found], stated: bool = False) -> list[Found]:
+    """The prints, those of white tips with each of `LENGTHS_PITCHES` unless their pins' length is stated."""
+    made = []
+    for found in prints:
+        known = stated and not found.kind.patches
+        free = found.kind.white_tips and not known
+        made += [with_length(found, length) for length in LENGTHS_PITCHES] if free else [found]
+    return made
+
+
+def shares_left(
+    calibration: Calibration, prints: Sequence[Found], profile: str, images: Sequence[U8]
+) -> list[float | None]:
+    """The share of each picture's change that a profile's heights leave unexplained, by the print that explains all
+    pictures best; None for a picture that hardly changed, and for all without a print.
+    """
+    own = own_picture(calibration)
+    reconstructor = make_reconstructor(calibration, PROFILES[profile])
+    made = [reconstructor.step(Frame(0, 0, 0, image)) for image in images]
+
+    def left_by(found: Found) -> list[float | None]:
+        picture = Picture(calibration, found)
+        changes = [picture.change(image) for image in images]
+        return [
+            picture.unexplained(change, each) if picture.is_touch(change) else None
+            for change, each in zip(changes, made, strict=True)
+        ]
+
+    tried = [left_by(found) for found in _with_lengths([*prints, *([own] if own else [])])]
+    nothing: list[float | None] = [None] * len(images)
+    return min(tried, key=lambda lefts: sum(each or 0.0 for each in lefts), default=nothing)

@@ -82,3 +82,16 @@ def test_touches_rank_networks() -> None:
     made = found.reconstructed(own(), "accurate")
     assert found.left(made) < found.left([deeper(each, 0.4) for each in made])
     assert found.left(made) == pytest.approx(found.left_by(own(), "accurate"))
+
+
+def test_a_picture_that_its_map_does_not_explain_stands_out() -> None:
+    from tacshade_edge.fitting.explained import shares_left
+
+    images = touches()[:5]
+    still = simulated(TACTIP).frame((), 9).image
+    found = shares_left(own(), [], "balanced", [*images, still])
+    assert found[-1] is None
+    seen = [left for left in found if left is not None]
+    assert len(seen) == len(images)
+    assert np.mean(seen) < 0.7
+    assert shares_left(own(), [], "balanced", []) == []

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
@@ -18,6 +19,8 @@ from tacshade_edge.cli.shared.options import (
     add_profile,
     add_sensor,
 )
+from tacshade_edge.core.depth.learned import is_flat
+from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
@@ -29,9 +32,11 @@ from tacshade_edge.quoting import escaped
 from tacshade_edge.quoting import shown as shown_path
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import load
-from tacshade_edge.storage.images import images_in
+from tacshade_edge.storage.images import images_in, read_image
 from tacshade_edge.types import Calibration
 
+UNEXPLAINED_MOST = 1.0
+"""A map that leaves this share of a picture's change unexplained is as good as none."""
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 
 
@@ -122,19 +127,49 @@ def _calibration(args: argparse.Namespace) -> Calibration:
 
 
 def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_json: bool) -> int:
-    """Print what the judges say of each picture; return 1 if they refuse one."""
+    """Print what the judges say of each picture, and which maps do not explain theirs; return 1 if one is refused."""
     judged = list(judge_pictures(calibration, profile, images_in(paths)))
+    left = _shares_left(calibration, profile, [each.path for each in judged if not each.reason])
     if as_json:
-        print(json.dumps([each.as_dict() for each in judged], indent=2))
+        records = [each.as_dict() | {"unexplained": left.get(each.path)} for each in judged]
+        print(json.dumps(records, indent=2))
     else:
         for each in judged:
             named = shown_path(each.path)
             why = (
                 f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}"
                 if each.reason
-                else ""
+                else _doubt(left.get(each.path))
             )
             print(f"{'refused' if each.reason else 'passes':<8} {named}{why}")
         print("", *figures(judged), "", sep="\n")
+        if left:
+            low, high = 100 * min(left.values()), 100 * max(left.values())
+            print(
+                f"maps leave {low:.0f} to {high:.0f} % of {len(left)} pictures' changes unexplained"
+            )
         print(f"{sum(each.reason is None for each in judged)} of {len(judged)} pass")
     return EXIT_FAILED if any(each.reason for each in judged) else EXIT_OK
+
+
+def _shares_left(
+    calibration: Calibration, profile: str, paths: Sequence[Path]
+) -> dict[Path, float]:
+    """The share of each picture's change that its map leaves unexplained, of those that changed; without the extra
+    `fit`, for a flat skin, and for a profile without a network nothing is known.
+    """
+    known = PROFILES[profile].network is not None and not is_flat(calibration.geometry)
+    if not paths or not known or not all(map(find_spec, ("numba", "scipy"))):
+        return {}
+    from tacshade_edge.fitting.explained import shares_left
+    from tacshade_edge.fitting.identify import identify
+
+    images = [read_image(path) for path in paths]
+    found = shares_left(calibration, identify(calibration), profile, images)
+    return {path: left for path, left in zip(paths, found, strict=True) if left is not None}
+
+
+def _doubt(left: float | None) -> str:
+    if left is None or left < UNEXPLAINED_MOST:
+        return ""
+    return f"  but its map explains the picture no better than no contact ({100 * left:.0f} % left)"
