@@ -2,8 +2,9 @@
 
 A twin's renderer draws the skin that a map describes. White of the cells that the map predicts, less that of the
 predicted skin at rest, should be what the picture shows, less the reference. The part that is left, of the squares that
-"no contact" would leave, needs no labels: it ranks networks, lengths of pins and prints on a user's own touches. A
-picture does not show the scale of lengths, and pins twice as long move twice as far: what is compared must share both.
+"no contact" would leave, needs no labels: it chooses prints and lengths of pins on a user's own touches, and vetoes a
+network that explains them clearly worse. It does not rank networks as truth does (`tools.studies.strangers.explained`):
+a picture does not show the scale of lengths, pins twice as long move twice as far, and the shear comes from a network.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ how long they are. On sensors of other mechanics than the shipped networks learn
 CLEARLY, TOLERATED = 0.95, 1.1
 """How much better than the part without presses or touches another part is on them that is taken instead, and how much
 worse than the shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged;
-what touches leave unexplained ranks gross errors, and hardly those that differ by a tenth."""
+what touches leave unexplained hardly ranks networks."""
 
 
 @dataclass(frozen=True, slots=True)
