@@ -24,7 +24,7 @@ _PLACES, _REACH, _SIZES = np.linspace(-0.6, 0.6, 7), 0.75, (0.3, 0.45, 0.6)
 # the least deviation of a log spacing, which counts for every marker, and the most.
 _FITS, _DEVIATIONS, _LEAST_DEVIATION, _MOST_LOSS = 4, 2.0, 0.003, 0.15
 PRESSED, _SURE_LOG_FACTOR = 0.035, 0.3
-"""A `strength` that no free skin has: 0.026 at most, of a jittered spiral through a fisheye lens.
+"""A `strength` that no free skin has: 0.029 at most, of a jittered spiral through a fisheye lens.
 tools/studies/loads.py measures what this finds."""
 
 
