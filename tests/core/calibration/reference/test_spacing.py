@@ -141,4 +141,7 @@ def unloaded_geometry(model: SensorModel) -> Geometry:
 
 @pytest.mark.slow
 def test_a_dome_without_a_known_camera_is_not_refused() -> None:
-    calibrate(replace(sensor_of(TACTIP), camera_distance_mm=None), references(TACTIP))
+    unknown = replace(sensor_of(TACTIP), camera_distance_mm=None)
+    geometry = calibrate(unknown, references(TACTIP)).calibration.geometry
+    assert geometry.camera_distance_mm is None
+    assert widening_reason(references(TACTIP)[0][..., 0], geometry) == ""
