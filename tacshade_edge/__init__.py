@@ -1,7 +1,7 @@
 """Metric shape from touch on a small board, for TacShade optical tactile sensors.
 
-The names listed here are the library (docs/reference/library.md); everything else is internal to the program and may
-change at any time. A name is imported when it is first used.
+The names listed here are the library (docs/reference/library.md); everything else is internal to
+the program and may change at any time. A name is imported when it is first used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Every exception that this package raises on purpose. Any other one is a defect, which ends the process."""
+"""Every exception that this package raises on purpose.
+
+Any other one is a defect, which ends the process.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,10 @@ class TacshadeError(Exception):
 
 
 class ConfigError(TacshadeError):
-    """Settings, a calibration or arguments that cannot work as they are (exit 78). `others`: further mistakes in the
-    same file, one line each; a line counts those after the first 50.
+    """Settings, a calibration or arguments that cannot work as they are (exit 78).
+
+    `others`: further mistakes in the same file, one line each;
+    a line counts those after the first 50.
     """
 
     _code = ReasonCode.CONFIG
@@ -41,7 +46,9 @@ class ConfigError(TacshadeError):
 
 
 class DeviceError(TacshadeError):
-    """Something outside (camera, robot, broker, disk) failed and may come back: retry; exit 1 in a one-shot command."""
+    """Something outside (camera, robot, broker, disk) failed and may come back: retry;
+    exit 1 in a one-shot command.
+    """
 
     _code = ReasonCode.DEVICE
 

@@ -8,8 +8,8 @@ _M_ARENA_MAX = -8  # glibc's malloc.h
 
 
 def return_free_memory() -> None:
-    """Return freed memory to the system, within milliseconds: glibc keeps what lies below the newest block, most of a
-    large map.
+    """Return freed memory to the system, within milliseconds: glibc keeps what lies below the
+    newest block, most of a large map.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -17,7 +17,9 @@ def return_free_memory() -> None:
 
 
 def share_free_memory() -> None:
-    """Make threads that start later allocate from one heap: by default glibc gives each its own, with 2 MB unused."""
+    """Make threads that start later allocate from one heap:
+    by default glibc gives each its own, with 2 MB unused.
+    """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_ARENA_MAX, 1)

@@ -20,9 +20,13 @@ PATCHES_MAX: Final = (
     4  # of a finger, the greatest first: a message of five fingers stays within the decoder's limit
 )
 PERIOD_NS: Final = 10_000_000
-"""Shortest time between two fits: five cameras that do not expose together cause up to 250 messages a second."""
+"""Shortest time between two fits: five cameras that do not expose together cause up
+to 250 messages a second.
+"""
 STALE_NS: Final = 500_000_000
-"""A finger in contact reports every frame; one that has reported none for this long holds nothing."""
+"""A finger in contact reports every frame; one that has reported none
+for this long holds nothing.
+"""
 _DIGITS: Final = 8  # decimal places of a variance
 _DEGREES: Final = np.array([1.0] * 3 + [180 / np.pi] * 3)
 
@@ -36,7 +40,9 @@ class HeldObject:
         self._fitted_ns = 0
 
     def step(self, fingers: Mapping[str, Finger], now_ns: int) -> Motion | None:
-        """Take all fingers' latest reports and return the motion; None if no touching skin has shear."""
+        """Take all fingers' latest reports and return the motion;
+        None if no touching skin has shear.
+        """
         patches = patches_of(
             {k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS}
         )
@@ -107,8 +113,9 @@ def _published(found: ObjectMotion, left_out: tuple[str, ...]) -> Motion:
 
 
 GATHER_NS: Final = 3_000_000
-"""Longest wait of a finger's news for other fingers in contact, whose next frame is due before then; shortest time
-between two messages."""
+"""Longest wait of a finger's news for other fingers in contact, whose next frame is due before
+then; shortest time between two messages.
+"""
 QUIET_PERIOD_NS: Final = (
     100_000_000  # longest time between two messages, without contact and change
 )
@@ -200,7 +207,9 @@ Reports = Iterable[
 
 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
-    """The messages that the hand would have published for reports of one clock, each made exactly when it is due."""
+    """The messages that the hand would have published for reports of one clock,
+    each made exactly when it is due.
+    """
     aggregator = HandAggregator(tuple(fingers))
     reports = heapq.merge(
         *(zip(own, repeat(name)) for name, own in fingers.items()), key=lambda each: each[0][0]

@@ -1,7 +1,8 @@
-"""Debian's python3-systemd, where it is installed, called so that no thread waits for a peer that does not read.
+"""Debian's python3-systemd, where it is installed,
+called so that no thread waits for a peer that does not read.
 
-libsystemd sends without a time limit, and its Python package holds the interpreter's lock meanwhile: every thread would
-stand still with it. So `has_room` comes before each call.
+libsystemd sends without a time limit, and its Python package holds the interpreter's lock
+meanwhile: every thread would stand still with it. So `has_room` comes before each call.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ def path_of(address: str) -> str:
 
 
 def has_room(address: str, seconds: float) -> bool:
-    """Whether a datagram socket takes one more message, now or within `seconds`. Raises OSError if nobody is there."""
+    """Whether a datagram socket takes one more message, now or within `seconds`.
+
+    Raises OSError if nobody is there.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         probe.settimeout(seconds)
         probe.connect(path_of(address))

@@ -7,7 +7,9 @@ from collections.abc import Iterable
 
 
 def quoted(text: str, chars_max: int = 60) -> str:
-    """`text` in quotes, cut to `chars_max`, with unprintable characters (line ends, ESC) as escapes."""
+    """`text` in quotes, cut to `chars_max`, with unprintable characters (line ends,
+    ESC) as escapes.
+    """
     return repr(text if len(text) <= chars_max else text[:chars_max] + "…")
 
 
@@ -18,12 +20,16 @@ def shown(text: object, chars_max: int = 300) -> str:
 
 
 def encodable(name: str) -> str:
-    """A file's name in which bytes that are not UTF-8 are escapes: no file takes them, and OpenCV's font crashes."""
+    """A file's name in which bytes that are not UTF-8 are escapes:
+    no file takes them, and OpenCV's font crashes.
+    """
     return name.encode(errors="backslashreplace").decode()
 
 
 def escaped(text: str, chars_max: int = 1000) -> str:
-    """`text` as a single line without quotes, cut to `chars_max`, with unprintable characters as escapes."""
+    """`text` as a single line without quotes, cut to `chars_max`,
+    with unprintable characters as escapes.
+    """
     if len(text) > chars_max:
         text = text[:chars_max] + "…"
     return (
@@ -41,7 +47,9 @@ def counted(count: int, noun: str) -> str:
 
 
 def did_you_mean(text: object, names: Iterable[object]) -> str:
-    """``; did you mean NAME?`` with the name nearest to `text`, or an empty string if none is near."""
+    """``; did you mean NAME?`` with the name nearest to `text`,
+    or an empty string if none is near.
+    """
     near = (
         difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
     )

@@ -10,7 +10,9 @@ from enum import StrEnum
 
 
 class ReasonCode(StrEnum):
-    """Every reason in ``summary.json``, MQTT messages and serial lines; docs/reference/mqtt/reasons.md lists them."""
+    """Every reason in ``summary.json``, MQTT messages and serial lines;
+    docs/reference/mqtt/reasons.md lists them.
+    """
 
     # A frame.
     SIZE = "size"
@@ -129,5 +131,7 @@ def code_of(reason: Reason | None) -> str:
 
 
 def reason_fields(reason: Reason | None, key: str = "reason") -> dict[str, str]:
-    """The fields of a message for a reason: ``{"reason": text, "reason_code": code}``, both empty without one."""
+    """The fields of a message for a reason: ``{"reason": text, "reason_code":
+    code}``, both empty without one.
+    """
     return {key: text_of(reason), f"{key}_code": code_of(reason)}

@@ -1,4 +1,6 @@
-"""Reads files that somebody else wrote: only regular files, whose size is known before they are read."""
+"""Reads files that somebody else wrote: only regular files,
+whose size is known before they are read.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,10 @@ from typing import BinaryIO
 
 
 def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
-    """Open a file for reading; refuse a pipe, a device or a folder before it can hang or never end. `bytes_max`:
-    greatest accepted size. Raises OSError (the file is absent, unreadable, not a regular file, or too large; `strerror`
-    says which, in words for a person).
+    """Open a file for reading; refuse a pipe, a device or a folder before it can hang or never end.
+
+    `bytes_max`: greatest accepted size. Raises OSError (the file is absent, unreadable, not a
+    regular file, or too large; `strerror` says which, in words for a person).
     """
     try:
         # Without O_NONBLOCK, opening a pipe would wait for a writer.
@@ -39,6 +42,8 @@ def read_regular(path: str | os.PathLike[str], bytes_max: int) -> bytes:
 
 
 def named_file(folder: Path, name: str) -> Path:
-    """The path of a file that a table or settings file names: relative to its folder, from ``~``, or as in Windows."""
+    """The path of a file that a table or settings file names:
+    relative to its folder, from ``~``, or as in Windows.
+    """
     path = folder / os.path.expanduser(name)
     return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path

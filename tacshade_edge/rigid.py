@@ -34,13 +34,16 @@ class Rigid:
         return Rigid(self.rotation.T, -(self.rotation.T @ self.translation_mm))
 
     def seven(self) -> tuple[float, ...]:
-        """x, y, z in mm and the unit quaternion w, x, y, z with w >= 0, as files and messages hold them."""
+        """x, y, z in mm and the unit quaternion w, x, y, z with w >= 0,
+        as files and messages hold them.
+        """
         return (*self.translation_mm.tolist(), *_quaternion(self.rotation))
 
 
 def from_seven(values: Sequence[float]) -> Rigid:
-    """Make a transform from x, y, z in mm and a quaternion w, x, y, z, which is normalised. Raises ValueError if its
-    length is 0.
+    """Make a transform from x, y, z in mm and a quaternion w, x, y, z, which is normalised.
+
+    Raises ValueError if its length is 0.
     """
     x_mm, y_mm, z_mm, *q = values
     norm = math.sqrt(math.fsum(v * v for v in q))
@@ -68,7 +71,9 @@ def shift(x_mm: float, y_mm: float, z_mm: float) -> Rigid:
 
 
 def turn(vector_rad: Sequence[float] | F64) -> Rigid:
-    """The rotation about the vector's direction through the origin, by its length in radians (Rodrigues)."""
+    """The rotation about the vector's direction through the origin,
+    by its length in radians (Rodrigues).
+    """
     x, y, z = (float(v) for v in vector_rad)
     angle = math.sqrt(x * x + y * y + z * z)
     k = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
@@ -86,7 +91,9 @@ def turned_rad(rotation: F64) -> F64:
 
 
 def _quaternion(m: F64) -> tuple[float, float, float, float]:
-    """The unit quaternion w, x, y, z of a rotation, from its largest component, to avoid the root of a tiny number."""
+    """The unit quaternion w, x, y, z of a rotation, from its largest component,
+    to avoid the root of a tiny number.
+    """
     turned = np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))
     products = np.empty((4, 4))  # of its components, times 4
     products[0, 1:] = products[1:, 0] = turned

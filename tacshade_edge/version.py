@@ -14,7 +14,9 @@ def how_to_install(extra: str) -> str:
 
 @cache
 def installed_version() -> str:
-    """The version set at build time (``tools/release/version.py``); ``0+unknown`` in an uninstalled checkout."""
+    """The version set at build time (``tools/release/version.py``);
+    ``0+unknown`` in an uninstalled checkout.
+    """
     from importlib import metadata  # takes 10 ms that most commands do not need
 
     try:

@@ -32,7 +32,9 @@ _log = logging.getLogger(__name__)
 NEWEST_WINS: Final = frozenset(
     name for name, topic in {**OF_SENSORS, **OF_HANDS}.items() if topic.newest_wins
 )
-"""For each of these topics only the newest message waits; for all others every message waits, in order."""
+"""For each of these topics only the newest message waits;
+for all others every message waits, in order.
+"""
 WAITING_MAX: Final = 256
 """Most waiting messages; the next one replaces the oldest."""
 _FIRST_S: Final = 5.0
@@ -42,7 +44,9 @@ _KEEPALIVE_S: Final = 10
 _BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
 SILENT_S = 5.0
-"""Silence from the start after which the sensors that are there are asked for: a name may be misspelt."""
+"""Silence from the start after which the sensors that are there are asked for:
+a name may be misspelt.
+"""
 _STATES: Final = "tacshade/+/state"
 _STATES_S: Final = 1.0
 _THERE_MAX: Final = 64
@@ -75,10 +79,11 @@ def listen(
 ) -> Listener:
     """Receive the messages of any number of sensors or hands (docs/reference/mqtt.md).
 
-    On a topic with frames, contacts, touches or health only the newest message waits, so a slow reader skips some
-    (`Listener.passed_over`). All others (``state``, ``status/...``, ``event/slip``, ``info``) wait in order; beyond 256
-    waiting messages the oldest is dropped (`Listener.dropped`). The listener reconnects automatically, with a line in
-    the log (``logging``), and misses the messages published meanwhile.
+    On a topic with frames, contacts, touches or health only the newest message waits, so a slow
+    reader skips some (`Listener.passed_over`). All others (``state``, ``status/...``,
+    ``event/slip``, ``info``) wait in order; beyond 256 waiting messages the oldest is dropped
+    (`Listener.dropped`). The listener reconnects automatically, with a line in the log
+    (``logging``), and misses the messages published meanwhile.
 
     Parameters
     ----------
@@ -87,7 +92,8 @@ def listen(
     name : str
         A sensor's id, ``hand/`` and a hand's id, or ``+`` or ``hand/+`` for all.
     topics : collection of str
-        Topics below the name: ``height``, ``contact``, ``status/+``. Sensors do not compute topics without subscribers.
+        Topics below the name: ``height``, ``contact``, ``status/+``.
+        Sensors do not compute topics without subscribers.
     username, password : str, optional
         For a broker that requires a login.
     ca_file : path, optional
@@ -132,8 +138,8 @@ def listen(
 class Listener(Iterator[Message]):
     """An iterator over received messages; `listen` makes it, ``with`` or `close` closes it.
 
-    Iteration waits for the next message without a limit; `get` can wait for a limited time. paho's thread receives
-    messages, and the caller's thread decodes them.
+    Iteration waits for the next message without a limit; `get` can wait for a limited time. paho's
+    thread receives messages, and the caller's thread decodes them.
 
     Attributes
     ----------
@@ -215,7 +221,10 @@ class Listener(Iterator[Message]):
             self._came.wait(min(ends_s) - now_s if ends_s else None)
 
     def _name_those_there(self, now_s: float) -> None:
-        """After a silence from the start, ask for the sensors' states; a second later, log them. Lock held."""
+        """After a silence from the start, ask for the sensors' states; a second later, log them.
+
+        Lock held.
+        """
         if self._there is None:
             self._there, self._ask_s = {}, now_s + _STATES_S
             self._client.subscribe(_STATES, 0)
@@ -232,7 +241,10 @@ class Listener(Iterator[Message]):
             self._client.unsubscribe(_STATES)
 
     def follow(self, topics: Collection[str]) -> None:
-        """Replace the subscribed topics with these; callable from any thread. Raises ConfigError."""
+        """Replace the subscribed topics with these; callable from any thread.
+
+        Raises ConfigError.
+        """
         wanted = self._full(topics)
         with self._came:
             new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
@@ -267,7 +279,8 @@ class Listener(Iterator[Message]):
             topic.strip("/") == topic != "" and "\0" not in topic for topic in topics
         ):
             raise ConfigError(
-                f"topics: found {topics!r}, expected several such as ['height', 'contact', 'status/+']"
+                f"topics: found {topics!r}, expected several such as ['height', 'contact', "
+                "'status/+']"
             )
         return frozenset(f"{self._base}/{topic}" for topic in topics)
 
@@ -277,12 +290,16 @@ class Listener(Iterator[Message]):
             if not self._subscribed:
                 text, code = self._failure or ("no answer", ReasonCode.NO_ANSWER)
                 raise DeviceError(
-                    f"{self._where}: {text}; expected a broker that serves topics under {self._base}/",
+                    (
+                        f"{self._where}: {text}; expected a broker that serves topics under "
+                        f"{self._base}/"
+                    ),
                     code=code,
                 )
 
     def _subscribe(self, topics: Collection[str]) -> None:
-        # With QoS 1 a broker drops messages beyond its queue's size, and so most of many retained ones.
+        # With QoS 1 a broker drops messages beyond its queue's size,
+        # and so most of many retained ones.
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
         else:
@@ -297,7 +314,9 @@ class Listener(Iterator[Message]):
             _log.warning("%s: %s (%d messages rejected so far)", self._where, error, self.refused)
 
     def _fail(self, text: str, code: ReasonCode) -> None:
-        """Record a failure: `listen` raises that of the first connection; later ones are logged when they change."""
+        """Record a failure: `listen` raises that of the first connection;
+        later ones are logged when they change.
+        """
         with self._came:
             if self._failure != (text, code):
                 self._failure = text, code
@@ -305,7 +324,7 @@ class Listener(Iterator[Message]):
                     _log.warning("%s: %s; trying again", self._where, text)
             self._came.notify_all()
 
-    # -- called by paho, in its thread ----------------------------------------------------------------------------
+    # -- called by paho, in its thread -------------------------------------------------------------
 
     def _on_connect(
         self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any

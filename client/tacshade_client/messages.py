@@ -27,9 +27,10 @@ class Message:
     part : str
         The rest of the topic, such as ``height`` or ``status/camera``.
     value : object
-        A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`, `TouchNumbers`, `SlipEvent`,
-        `ContactEvent`, `ObjectEvent`, `Health`, `Info`, `Status`, `StitchedMap`, `HandObjects` or `HandHealth`; a
-        string for ``state``, a JPEG's bytes for ``preview``, a dict for other JSON.
+        A `HeightMessage`, `CloudMessage`, `ShearMessage`, `SigmaMessage`, `Contact`,
+        `TouchNumbers`, `SlipEvent`, `ContactEvent`, `ObjectEvent`, `Health`, `Info`, `Status`,
+        `StitchedMap`, `HandObjects` or `HandHealth`; a string for ``state``, a JPEG's bytes for
+        ``preview``, a dict for other JSON.
     retained : bool
         The broker had retained it from before this subscription.
     """

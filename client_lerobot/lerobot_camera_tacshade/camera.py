@@ -22,10 +22,11 @@ _FIND_S: Final = 1.0
 
 
 class TacShadeCamera(Camera):
-    """A sensor's height and shear as RGB pictures (`colours.to_rgb`), received in a separate thread.
+    """A sensor's height and shear as RGB pictures (`colours.to_rgb`),
+    received in a separate thread.
 
-    A sensor in contact gives a picture per frame. An untouched one publishes only ten times a second, and its picture
-    does not change, so `async_read` does not wait for a new one.
+    A sensor in contact gives a picture per frame. An untouched one publishes only ten times a
+    second, and its picture does not change, so `async_read` does not wait for a new one.
     """
 
     def __init__(self, config: TacShadeCameraConfig) -> None:
@@ -69,8 +70,8 @@ class TacShadeCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Connect to the broker and, with `warmup`, wait for the first picture.
 
-        Raises DeviceAlreadyConnectedError, and ConnectionError if the settings can never work, the broker is
-        unreachable or rejects the connection, or no picture arrives within 5 s.
+        Raises DeviceAlreadyConnectedError, and ConnectionError if the settings can never work, the
+        broker is unreachable or rejects the connection, or no picture arrives within 5 s.
         """
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
@@ -104,11 +105,15 @@ class TacShadeCamera(Camera):
                 ) from None
 
     def read(self) -> U8:
-        """Wait at most a second for the next picture. Raises TimeoutError, DeviceNotConnectedError."""
+        """Wait at most a second for the next picture.
+
+        Raises TimeoutError, DeviceNotConnectedError.
+        """
         return self.async_read(timeout_ms=1000)
 
     def async_read(self, timeout_ms: float = 200) -> U8:
-        """Wait for a picture that has not been read yet; for an untouched sensor return the newest at once.
+        """Wait for a picture that has not been read yet;
+        for an untouched sensor return the newest at once.
 
         RGB, uint8 (height, width, 3), read-only. Raises TimeoutError, DeviceNotConnectedError.
         """
@@ -126,7 +131,8 @@ class TacShadeCamera(Camera):
     def read_latest(self, max_age_ms: int = 500) -> U8:
         """The newest picture, read or not.
 
-        Raises TimeoutError if it is older than `max_age_ms`, RuntimeError before the first, DeviceNotConnectedError.
+        Raises TimeoutError if it is older than `max_age_ms`, RuntimeError before the first,
+        DeviceNotConnectedError.
         """
         self._check()
         with self._came:
@@ -139,14 +145,17 @@ class TacShadeCamera(Camera):
             return self._latest
 
     def read_latest_depth(self, max_age_ms: int = 500) -> F32:
-        """The height map of the newest picture as LeRobot takes depth: float32 (height, width, 1) in metres, 0 outside
-        the circle. Raises like `read_latest`.
+        """The height map of the newest picture as LeRobot takes depth: float32 (height, width, 1)
+        in metres, 0 outside the circle. Raises like `read_latest`.
         """
         self.read_latest(max_age_ms)
         return self._depth_m
 
     def read_latest_tactile(self, max_age_ms: int = 500) -> F32:
-        """The numbers `TACTILE` of the newest picture, float32, 0 where unknown. Raises like `read_latest`."""
+        """The numbers `TACTILE` of the newest picture, float32, 0 where unknown.
+
+        Raises like `read_latest`.
+        """
         self.read_latest(max_age_ms)
         return self._tactile
 

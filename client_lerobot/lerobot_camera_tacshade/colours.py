@@ -16,10 +16,12 @@ _HEIGHT_ZERO, _SHEAR_ZERO = 1, 128
 
 
 def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
-    """The RGB picture, uint8 (rows, cols, 3), of a height map (rows, cols) and its shear (rows, cols, 2) in mm.
+    """The RGB picture, uint8 (rows, cols, 3), of a height map (rows, cols) and its shear (rows,
+    cols, 2) in mm.
 
-    Red is 1 + h / `STEP_MM`, green and blue 128 + shear / `STEP_MM` along x and y, rounded and clipped to 1 to 255 (h
-    to 6.35 mm, shear to ±3.175 mm, 0 without one); all are 0 outside the visible circle, where the height is NaN.
+    Red is 1 + h / `STEP_MM`, green and blue 128 + shear / `STEP_MM` along x and y, rounded and
+    clipped to 1 to 255 (h to 6.35 mm, shear to ±3.175 mm, 0 without one); all are 0 outside the
+    visible circle, where the height is NaN.
     """
     picture = np.full((*height_mm.shape, 3), float(_SHEAR_ZERO), np.float32)
     picture[..., 0] = _HEIGHT_ZERO + height_mm / STEP_MM
@@ -31,7 +33,8 @@ def to_rgb(height_mm: F32, shear_mm: F32 | None) -> U8:
 
 
 def to_mm(picture: U8) -> tuple[F32, F32]:
-    """The height and the shear in mm in a picture of `to_rgb`, shaped as there; NaN outside the circle.
+    """The height and the shear in mm in a picture of `to_rgb`, shaped as there;
+    NaN outside the circle.
 
     Within the ranges of `to_rgb` they are accurate to half of `STEP_MM`.
     """

@@ -14,10 +14,11 @@ SIZE_PX = 112
 class TacShadeCameraConfig(CameraConfig):
     """A sensor (its ``sensor_id``) on a broker, ``HOST`` or ``HOST:PORT``.
 
-    `username`, `password_file` (its first line): for a broker that requires a login; `ca_file`: certificate of the
-    authority that signed the broker's certificate, turns TLS on; `width`, `height`: of the picture in px, equal,
-    because the visible circle fills it; `fps`: LeRobot copies it, but the daemon determines the actual rate;
-    `use_depth`: robots also record the height as a depth map.
+    `username`, `password_file` (its first line): for a broker that requires a login; `ca_file`:
+    certificate of the authority that signed the broker's certificate, turns TLS on; `width`,
+    `height`: of the picture in px, equal, because the visible circle fills it; `fps`: LeRobot
+    copies it, but the daemon determines the actual rate; `use_depth`: robots also record the height
+    as a depth map.
     """
 
     sensor: str

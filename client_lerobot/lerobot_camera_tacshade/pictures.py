@@ -23,19 +23,25 @@ TACTILE: Final = (
     "shear_y_mm",
     "slip",
 )
-"""The numbers of ``observation.tactile``, named as in the topic ``contact``; the volume is a measure of load.
+"""The numbers of ``observation.tactile``, named as in the topic ``contact``;
+the volume is a measure of load.
 
-While something touches whose depth is unknown, ``contact`` is 1 too, and the picture is that of an untouched skin.
+While something touches whose depth is unknown, ``contact`` is 1 too,
+and the picture is that of an untouched skin.
 """
 REACH: Final = 1.02
-"""Half the picture's side in radii of the visible circle, as in the daemon's own square of 112 x 112 cells."""
+"""Half the picture's side in radii of the visible circle,
+as in the daemon's own square of 112 x 112 cells.
+"""
 
 
 class Pictures:
-    """Combines the messages of each frame: ``contact`` comes last, and is the only one in a frame without contact.
+    """Combines the messages of each frame: ``contact`` comes last,
+    and is the only one in a frame without contact.
 
-    `passed_over` counts frames with a missing or mismatched message, or that the sensor could not use. `height_mm` is
-    the height map (size, size) of the latest picture, NaN outside the circle, and `tactile` its `TACTILE`.
+    `passed_over` counts frames with a missing or mismatched message, or that the sensor could not
+    use. `height_mm` is the height map (size, size) of the latest picture, NaN outside the circle,
+    and `tactile` its `TACTILE`.
     """
 
     height_mm: F32
@@ -49,7 +55,9 @@ class Pictures:
         self.passed_over = 0
 
     def add(self, message: Message) -> U8 | None:
-        """Add a message; return the picture (size, size, 3) of the frame that it completes, or None."""
+        """Add a message; return the picture (size, size, 3) of the frame that it completes,
+        or None.
+        """
         match message.value:
             case Info(geometry=geometry):
                 self._geometry = geometry
@@ -93,7 +101,9 @@ class Pictures:
 
 
 def tactile_feature() -> dict[str, Any]:
-    """The feature of a LeRobot data set that holds `TACTILE`, for a key such as ``observation.tactile.left_index``."""
+    """The feature of a LeRobot data set that holds `TACTILE`, for a key such as
+    ``observation.tactile.left_index``.
+    """
     return {"dtype": "float32", "shape": (len(TACTILE),), "names": list(TACTILE)}
 
 
@@ -106,7 +116,9 @@ def _pixels(geometry: InfoGeometry, size_px: int) -> tuple[F64, F64]:
 
 
 def _untouched(geometry: InfoGeometry, size_px: int) -> F32:
-    """A height map of the untouched skin, float32 (size, size): 0 inside the visible circle, NaN outside."""
+    """A height map of the untouched skin, float32 (size, size):
+    0 inside the visible circle, NaN outside.
+    """
     rows, cols = _pixels(geometry, size_px)
     away = np.hypot((rows - geometry.row_c)[:, None], (cols - geometry.col_c)[None, :])
     return np.where(away <= geometry.radius_px, np.float32(0), np.float32(np.nan))
@@ -120,7 +132,8 @@ def _cells(
     for pixels, first, count in zip(
         _pixels(geometry, size_px), (height.row0, height.col0), height.height_mm.shape, strict=True
     ):
-        # With an even enlargement a pixel falls between two cells; choose the same one regardless of rounding.
+        # With an even enlargement a pixel falls between two cells;
+        # choose the same one regardless of rounding.
         nearest = np.rint((pixels - first) / height.step_px - 1e-6).astype(np.intp)
         found.append(np.clip(nearest, 0, count - 1))
     return np.ix_(*found)  # type: ignore[return-value]

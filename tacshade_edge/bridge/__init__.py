@@ -1,1 +1,3 @@
-"""Serves what sensors publish in other tools' protocols; a separate process, so the daemon has one more subscriber."""
+"""Serves what sensors publish in other tools' protocols;
+a separate process, so the daemon has one more subscriber.
+"""

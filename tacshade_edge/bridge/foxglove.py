@@ -1,4 +1,6 @@
-"""Shows sensors in Foxglove and compatible viewers; requests and encodes only the topics that viewers subscribe to."""
+"""Shows sensors in Foxglove and compatible viewers;
+requests and encodes only the topics that viewers subscribe to.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ SKIN_PERIOD_NS: Final = 200_000_000
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
-# channel: its schema, and the sensor's topics that it is made from. Transforms come along with the others' messages.
+# channel: its schema, and the sensor's topics that it is made from.
+# Transforms come along with the others' messages.
 _CHANNELS: Final[dict[str, tuple[Schema, tuple[str, ...]]]] = {
     "height": (RawImage.get_schema(), ("height",)),
     "cloud": (PointCloud.get_schema(), ("cloud",)),
@@ -78,7 +81,9 @@ class _Sensor:
 
     @property
     def rank(self) -> int:
-        """0 without an `info`; higher if the sensor is calibrated or alive, as an invented one hardly is."""
+        """0 without an `info`; higher if the sensor is calibrated or alive,
+        as an invented one hardly is.
+        """
         return (
             0
             if self._info is None
@@ -98,7 +103,9 @@ class _Sensor:
         }
 
     def repeat(self) -> None:
-        """Send the kept messages again, for viewers that subscribed later: the sensor does not repeat them."""
+        """Send the kept messages again, for viewers that subscribed later:
+        the sensor does not repeat them.
+        """
         for name, message in self._kept.items():
             self._send(name, message)
 
@@ -183,13 +190,17 @@ class _Sensor:
         payload: bytes = one if isinstance(one, bytes) else one.encode()
         if len(payload) > MESSAGE_BYTES_MAX:
             raise DecodeError(
-                f"{name}: found {len(payload)} bytes for a viewer, expected at most {MESSAGE_BYTES_MAX}"
+                f"{name}: found {len(payload)} bytes for a viewer, expected at most "
+                f"{MESSAGE_BYTES_MAX}"
             )
         self._viewers.send(channel, payload)
 
 
 class FoxgloveBridge:
-    """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed. Raises OSError."""
+    """Serves sensors to viewers, all if `sensors` is empty; `follow` gets the topics needed.
+
+    Raises OSError.
+    """
 
     def __init__(
         self, host: str, port: int, sensors: list[str], follow: Callable[[set[str]], None]
@@ -244,7 +255,9 @@ class FoxgloveBridge:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def poll(self) -> None:
-        """Subscribe to what the viewers now watch, and send them the counts; call this ten times a second."""
+        """Subscribe to what the viewers now watch, and send them the counts;
+        call this ten times a second.
+        """
         with self._lock:
             counts = encode_json({**self._refusals.counts, "passed_over": self._viewers.missed})
         if self._changed.is_set() or counts != self._counts:

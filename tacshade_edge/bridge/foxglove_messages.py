@@ -1,4 +1,6 @@
-"""A sensor's messages in Foxglove's schemas: positions in metres, Unix times; values that people read stay in mm."""
+"""A sensor's messages in Foxglove's schemas: positions in metres, Unix times;
+values that people read stay in mm.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ Frame = Literal["base", "flange", "sensor"]
 
 
 def frame_name(sensor_id: str, frame: Frame) -> str:
-    """The name of a frame of this sensor; each sensor has its own base, as their robots may differ."""
+    """The name of a frame of this sensor; each sensor has its own base,
+    as their robots may differ.
+    """
     return f"{sensor_id}/{frame}"
 
 
@@ -102,7 +106,9 @@ def cloud(message: CloudMessage, sensor_id: str, frame: Frame = "sensor") -> Poi
 
 
 def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -> SceneUpdate:
-    """The skin as a mesh in m, coloured by h (rows, cols; NaN outside the disc); empty without a calibration."""
+    """The skin as a mesh in m, coloured by h (rows, cols; NaN outside the disc);
+    empty without a calibration.
+    """
     if info.geometry is None:
         return SceneUpdate()
     every = max(1, math.ceil(max(grid.rows, grid.cols) / SKIN_CELLS_MAX))

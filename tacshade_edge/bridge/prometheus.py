@@ -41,7 +41,9 @@ class _Sensor:
 
 
 class SensorMetrics:
-    """The latest states and counters of some sensors, or all that publish: a collector for a `CollectorRegistry`."""
+    """The latest states and counters of some sensors, or all that publish:
+    a collector for a `CollectorRegistry`.
+    """
 
     def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
@@ -55,7 +57,10 @@ class SensorMetrics:
         self._refusals = Refusals()
 
     def hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Process a message from the broker. A retained `health` may be old: it only shows that the sensor has one."""
+        """Process a message from the broker.
+
+        A retained `health` may be old: it only shows that the sensor has one.
+        """
         with self._lock:
             if not (found := _TOPIC.fullmatch(topic)):
                 self._refusals.add(
@@ -72,7 +77,9 @@ class SensorMetrics:
                 self._refusals.add("undecodable", sensor_id, str(error))
 
     def collect(self) -> Iterator[Metric]:
-        """Yield all current metrics; of a silent or stopped sensor only whether it is up and its state."""
+        """Yield all current metrics; of a silent or stopped sensor only whether it is up
+        and its state.
+        """
         with self._lock:
             sensors = list(self._sensors)
             refused = dict(self._refusals.counts)
@@ -90,7 +97,8 @@ class SensorMetrics:
             "tacshade_state", "1 for the current state", labels=["sensor", "state"]
         )
         for name, sensor in sensors:
-            # A sensor that never published its health is a replay; one that stopped did so on purpose.
+            # A sensor that never published its health is a replay;
+            # one that stopped did so on purpose.
             if sensor.has_health and sensor.state != "stopped":
                 up.add_metric([name], float(name in fresh))
             for one in STATES if sensor.state else ():
@@ -124,7 +132,9 @@ class SensorMetrics:
             sensor.health, sensor.heard_s = health, self._clock_s()
 
     def _is_alive(self, sensor: _Sensor) -> bool:
-        """Whether the sensor runs and its health is fresh; its state is unknown if the roster was full when it came."""
+        """Whether the sensor runs and its health is fresh;
+        its state is unknown if the roster was full when it came.
+        """
         return sensor.state in (*ALIVE, "") and self._clock_s() - sensor.heard_s <= FRESH_S
 
     def _rank(self, sensor: _Sensor) -> int:
@@ -132,14 +142,18 @@ class SensorMetrics:
 
 
 class MetricsServer(ThreadingHTTPServer):
-    """Serves a registry in its own thread, plus a thread for each of `CONNECTIONS_MAX` connections. Raises OSError."""
+    """Serves a registry in its own thread, plus a thread for each of `CONNECTIONS_MAX` connections.
+
+    Raises OSError.
+    """
 
     request_queue_size = CONNECTIONS_MAX
 
     def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
         handler = MetricsHandler.factory(registry)
         handler.timeout = _SPEAK_S
-        # HTTPServer would query a name server for the host's own name when it binds, so skip its constructor.
+        # HTTPServer would query a name server for the host's own name when it binds,
+        # so skip its constructor.
         socketserver.TCPServer.__init__(self, (host, port), handler, bind_and_activate=False)
         self.socket.close()
         self.socket = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
@@ -186,7 +200,8 @@ def _counts(counted: Mapping[str, float], but: tuple[str, ...] = ()) -> Samples:
 _Family = type[CounterMetricFamily] | type[GaugeMetricFamily]
 _GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
 _NO_OUTCOMES: Final = ("waiting", "pre_roll")
-# `captured` is left out of the frames' outcomes, as it is their sum; `pending` may fall, so it is a gauge.
+# `captured` is left out of the frames' outcomes, as it is their sum;
+# `pending` may fall, so it is a gauge.
 _OF_HEALTH: Final[
     tuple[tuple[_Family, str, str, tuple[str, ...], Callable[[Health], Samples]], ...]
 ] = (

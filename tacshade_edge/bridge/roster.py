@@ -1,4 +1,6 @@
-"""The sensors that a bridge holds and the messages it refuses: any client of the broker can invent either."""
+"""The sensors that a bridge holds and the messages it refuses:
+any client of the broker can invent either.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ T = TypeVar("T")
 
 
 class Roster(Generic[T]):
-    """At most `most` sensors; when it is full, one of higher `rank` replaces that of lowest rank, which is closed."""
+    """At most `most` sensors; when it is full, one of higher `rank` replaces that of lowest rank,
+    which is closed.
+    """
 
     def __init__(
         self,
@@ -37,7 +41,9 @@ class Roster(Generic[T]):
         return self._sensors.get(sensor_id)
 
     def of(self, sensor_id: str, rank: int) -> T | None:
-        """Return a sensor's value, None if there is no room; a new sensor enters with the `rank` of its message."""
+        """Return a sensor's value, None if there is no room;
+        a new sensor enters with the `rank` of its message.
+        """
         if sensor_id not in self._sensors:
             if len(self._sensors) >= self._most:
                 least = min(self._sensors, key=lambda name: self._rank(self._sensors[name]))

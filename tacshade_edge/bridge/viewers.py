@@ -1,7 +1,8 @@
-"""Foxglove's WebSocket protocol with limits on the number of viewers and on what waits for a slow one.
+"""Foxglove's WebSocket protocol with limits on the number of viewers and on what waits
+for a slow one.
 
-Only the SDK's encoders are used: its server accepts any number of connections, and stops listening for good once the
-process has no file descriptor left.
+Only the SDK's encoders are used: its server accepts any number of connections, and stops listening
+for good once the process has no file descriptor left.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ CONNECTIONS_MAX: Final = 48
 MESSAGE_BYTES_MAX: Final = 5 << 20
 WAITING_BYTES_MAX: Final = 8 << 20
 WAITING_MAX: Final = 256
-"""Limits on what waits for one viewer, besides the message being sent; the oldest messages are dropped."""
+"""Limits on what waits for one viewer, besides the message being sent;
+the oldest messages are dropped.
+"""
 _UNSENT_BYTES_MAX: Final = 2 * MESSAGE_BYTES_MAX
 _FROM_VIEWER_BYTES_MAX: Final = 1 << 16
 _SPEAK_S, _STALL_S, _CLOSE_S, _START_S = 5.0, 10.0, 0.5, 10.0
@@ -63,7 +66,9 @@ class _Viewer:
     missed: int = 0
 
     def put(self, message: str | bytes) -> None:
-        """Queue a message and drop the oldest ones over the limits; without a text, a viewer cannot go on."""
+        """Queue a message and drop the oldest ones over the limits;
+        without a text, a viewer cannot go on.
+        """
         self.waiting.append(message)
         self.waiting_bytes += len(message)
         while len(self.waiting) > WAITING_MAX or self.waiting_bytes > WAITING_BYTES_MAX:
@@ -133,7 +138,7 @@ class Viewers:
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(job, *args)
 
-    # -- in the thread of the server --------------------------------------------------------------------------------
+    # -- in the thread of the server ---------------------------------------------------------------
 
     def _offer(self, channels: dict[int, dict[str, Any]]) -> None:
         self._channels |= channels
@@ -238,7 +243,9 @@ class Viewers:
 
 
 async def _send_all(viewer: _Viewer) -> None:
-    """Send a viewer's messages; only this waits for a slow viewer, and it disconnects one that reads nothing."""
+    """Send a viewer's messages; only this waits for a slow viewer,
+    and it disconnects one that reads nothing.
+    """
     with contextlib.suppress(ConnectionClosed):
         while await viewer.wake.wait():
             viewer.wake.clear()

@@ -1,1 +1,3 @@
-"""Takes a sensor's references and presses, which `calibrate` reads, in a dialogue with the person who presses."""
+"""Takes a sensor's references and presses, which `calibrate` reads,
+in a dialogue with the person who presses.
+"""

@@ -1,4 +1,6 @@
-"""How far a picture of the skin has changed from rest, in grey levels: enough to see that something touches."""
+"""How far a picture of the skin has changed from rest, in grey levels:
+enough to see that something touches.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The dialogue that takes labelled frames: a person types readings, or a scale or a robot labels whole presses."""
+"""The dialogue that takes labelled frames: a person types readings,
+or a scale or a robot labels whole presses.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +31,20 @@ _NO_IMAGE = np.zeros((1, 1), np.uint8)
 _FORCE = "force_z_n"
 
 _HELP = """  Enter            record a press: press, lift, then Enter; needs a scale or a robot
-    NAME=VALUE ...   type readings while you hold still: force_z_n=1.2 depth_mm=0.5; takes one picture
-    touch            set first touch where the robot holds the skin now: depth and the rest count from there
+    NAME=VALUE ...   type readings while you hold still: force_z_n=1.2 depth_mm=0.5;
+                     takes one picture
+    touch            set first touch where the robot holds the skin now: depth and the rest
+                     count from there
     undo             remove the last press
     done             end"""
 
 
 @dataclass(eq=False)
 class LabelSession:
-    """One run of the command on a folder that may already hold an earlier run's frames. `scale`: already open."""
+    """One run of the command on a folder that may already hold an earlier run's frames.
+
+    `scale`: already open.
+    """
 
     folder: LabelFolder
     live: Live
@@ -53,8 +60,9 @@ class LabelSession:
         self._unaligned = self._unposed = ""
 
     def run(self) -> None:
-        """Take rest and tare, then labelled frames until the person ends the run. Raises InputEnded, DeviceError,
-        ConfigError (the folder keeps what was taken before).
+        """Take rest and tare, then labelled frames until the person ends the run.
+
+        Raises InputEnded, DeviceError, ConfigError (the folder keeps what was taken before).
         """
         if self._rows:
             self.terminal.say(
@@ -86,7 +94,8 @@ class LabelSession:
         load = " or loads the scale" if self.scale else ""
         while True:
             self.live.ask(
-                f"Make sure that nothing touches the skin{load}; Enter takes rest{' and tare' if self.scale else ''}."
+                f"Make sure that nothing touches the skin{load}; Enter takes "
+                f"rest{' and tare' if self.scale else ''}."
             )
             since_s = time.monotonic()
             blocks = [
@@ -201,7 +210,8 @@ class LabelSession:
             )
         )
         self.terminal.say(
-            f"  press {rows[0].group}: {counted(len(rows), 'picture')} with {names or 'no quantity yet'}"
+            f"  press {rows[0].group}: {counted(len(rows), 'picture')} with "
+            f"{names or 'no quantity yet'}"
         )
         if self._unposed:
             self.terminal.say(f"  some have no labels from the robot: {self._unposed}")
@@ -233,7 +243,10 @@ class LabelSession:
         return offset
 
     def _end(self) -> None:
-        """Print the scale's tare and clock offset. Raises DeviceError if the offset cannot be found."""
+        """Print the scale's tare and clock offset.
+
+        Raises DeviceError if the offset cannot be found.
+        """
         if self.scale is None:
             return
         self.terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N")
@@ -257,7 +270,8 @@ def _parse(words: Sequence[str]) -> dict[str, float]:
         name, equals, text = word.partition("=")
         if not equals or name not in QUANTITIES:
             raise ConfigError(
-                f"found {word[:40]!r}, expected NAME=VALUE, where NAME is one of {', '.join(QUANTITIES)}"
+                f"found {word[:40]!r}, expected NAME=VALUE, where NAME is one of "
+                f"{', '.join(QUANTITIES)}"
             )
         if name in known:
             raise ConfigError(f"{name}: found two values, expected one value")

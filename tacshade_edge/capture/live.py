@@ -1,4 +1,6 @@
-"""Camera and dialogue together: every wait keeps reading frames, so that picture and figures stay current."""
+"""Camera and dialogue together: every wait keeps reading frames,
+so that picture and figures stay current.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +37,9 @@ class InputEnded(Exception):
 
 
 class Terminal:
-    """A terminal that reads lines from a file descriptor and writes lines to a stream. `descriptor`: source of the
-    lines, such as standard input.
+    """A terminal that reads lines from a file descriptor and writes lines to a stream.
+
+    `descriptor`: source of the lines, such as standard input.
     """
 
     def __init__(self, descriptor: int, out: TextIO) -> None:
@@ -86,7 +89,8 @@ class Terminal:
             self._shown = text
 
 
-# The picture counts as still after `STILL_S` without motion, judged from as many frames as motion at rest is.
+# The picture counts as still after `STILL_S` without motion,
+# judged from as many frames as motion at rest is.
 STILL_S, STILL_FRAMES = 0.8, 10
 _LEAST_FRAMES = 5  # if a slow camera delivers fewer in `STILL_S`, a longer time is compared
 _PAST_FRAMES = 64
@@ -98,7 +102,10 @@ _UNUSABLE_MAX = 100
 
 
 def rest_grey_of(blocks: Sequence[F32]) -> float:
-    """Return the motion of pictures at rest in grey levels. Raises ConfigError if it is too large."""
+    """Return the motion of pictures at rest in grey levels.
+
+    Raises ConfigError if it is too large.
+    """
     if (rest_grey := motion_grey(blocks)) > REST_MOST_GREY:
         found = (
             f"found a change of {rest_grey:.1f} grey levels, expected at most {REST_MOST_GREY:g}"
@@ -131,8 +138,10 @@ class Live:
         self._pattern_due_s = self._figures_due_s = self._picture_due_s = 0.0
 
     def frame(self) -> Frame:
-        """Read the next frame. Raises DeviceError (the camera was lost, delivers only unusable pictures, changed its
-        size, or the source has ended).
+        """Read the next frame.
+
+        Raises DeviceError (the camera was lost, delivers only unusable pictures, changed its size,
+        or the source has ended).
         """
         for _ in range(_UNUSABLE_MAX):
             try:
@@ -147,8 +156,10 @@ class Live:
         raise DeviceError(f"found {_UNUSABLE_MAX} unusable pictures in a row")
 
     def ask(self, text: str, *, with_figures: bool = False) -> str:
-        """Ask for a line and read frames until the person has typed it. Raises InputEnded, and as `frame`.
-        `with_figures`: show the figures live in place of a prompt, for questions that only Enter answers.
+        """Ask for a line and read frames until the person has typed it.
+
+        Raises InputEnded, and as `frame`. `with_figures`: show the figures live in place of a
+        prompt, for questions that only Enter answers.
         """
         self._looking = with_figures
         (self.terminal.say if with_figures else self.terminal.ask)(text)
@@ -161,7 +172,10 @@ class Live:
                 return line
 
     def still_frame(self) -> Frame | None:
-        """Return the frame once the picture stands still; None if a line was typed first. Raises as `frame`."""
+        """Return the frame once the picture stands still; None if a line was typed first.
+
+        Raises as `frame`.
+        """
         self._past.clear()
         began_s, hinted = time.monotonic(), False
         while True:
@@ -180,7 +194,9 @@ class Live:
                 )
 
     def tell(self, task: str) -> None:
-        """Show the person a task and its progress, on the page above the figures and in the terminal."""
+        """Show the person a task and its progress, on the page above the figures and
+        in the terminal.
+        """
         self._task = task
         if task:
             self.terminal.show(task)

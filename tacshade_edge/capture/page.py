@@ -1,4 +1,6 @@
-"""A page for a browser on this machine: the camera's picture with the circle, and the figures of the terminal."""
+"""A page for a browser on this machine: the camera's picture with the circle,
+and the figures of the terminal.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ PORT: Final = 8081
 """Port of the page; if it is taken, the page uses a free one."""
 
 _TIMEOUT_S = 5.0
-# A site may resolve its own name to this machine (DNS rebinding): the browser then sends that name as the host.
+# A site may resolve its own name to this machine (DNS rebinding):
+# the browser then sends that name as the host.
 _HOSTS = ("127.0.0.1", "localhost")
 _HTML = b"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -21,9 +24,11 @@ body { margin: 1rem; background: #111; color: #eee; font: 1.1rem/1.5 system-ui, 
 img { width: min(100%, 60rem); display: block; cursor: crosshair }
 #text, #place { white-space: pre-wrap; font-variant-numeric: tabular-nums }
 </style>
-<h1>The camera, now</h1><img id="picture" alt="what the camera sees"><p id="place">&nbsp;</p><p id="text"></p>
+<h1>The camera, now</h1><img id="picture" alt="what the camera sees">
+<p id="place">&nbsp;</p><p id="text"></p>
 <script>
-const [picture, text, place] = ["picture", "text", "place"].map((name) => document.getElementById(name));
+const element = (name) => document.getElementById(name);
+const [picture, text, place] = ["picture", "text", "place"].map(element);
 async function look() {
   try {
     text.textContent = await (await fetch("text", {cache: "no-store"})).text();
@@ -56,8 +61,9 @@ class Shown:
 
 
 class Page:
-    """A page served on the loopback interface by separate threads until `close`. `shown`: the program replaces it and
-    never changes it.
+    """A page served on the loopback interface by separate threads until `close`.
+
+    `shown`: the program replaces it and never changes it.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,6 @@
-"""What a robot's poses show of a press: place and depth on a fixed indenter, or labels relative to first touch."""
+"""What a robot's poses show of a press: place and depth on a fixed indenter,
+or labels relative to first touch.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,19 @@ Name = tuple[str, str]
 
 
 def _base_T_sensor(sensor: Sensor, pose: Pose | str) -> Rigid:
-    """The pose of a sensor that a robot holds. Raises ConfigError with the reason if it is unknown."""
+    """The pose of a sensor that a robot holds.
+
+    Raises ConfigError with the reason if it is unknown.
+    """
     if isinstance(pose, str):
         raise ConfigError(pose)
     return of_pose(pose) @ from_seven(sensor.flange_T_sensor)
 
 
 class RobotPlaces:
-    """Places of presses: one typed press locates an indenter, the robot's poses give the place of all others."""
+    """Places of presses: one typed press locates an indenter,
+    the robot's poses give the place of all others.
+    """
 
     def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
         self._sensor, self._pose_at = sensor, pose_at
@@ -44,7 +51,9 @@ class RobotPlaces:
         return name in self._fixed
 
     def learn(self, columns: Sequence[str], frame: Frame) -> str:
-        """Learn an indenter's place from a typed press; return why that fails, or an empty string."""
+        """Learn an indenter's place from a typed press;
+        return why that fails, or an empty string.
+        """
         indenter, radius_mm, depth_mm, x_mm, y_mm, *more = columns
         if not x_mm or any(more):
             return ""
@@ -67,7 +76,8 @@ class RobotPlaces:
                 f"expected at most {_TURN_MOST_DEG} degrees for any indenter other than a ball"
             )
             raise ConfigError(
-                f"found a sensor rotation of {turned_deg:.1f} degrees since the press whose place you typed, {expected}"
+                f"found a sensor rotation of {turned_deg:.1f} degrees since the press whose place "
+                f"you typed, {expected}"
             )
         try:
             touch = fixed.touch(held, self._sensor.skin_radius_mm)
@@ -93,7 +103,10 @@ class RobotLabels:
         self._first = _base_T_sensor(self._sensor, self._pose_at(frame))
 
     def labels(self, frame: Frame) -> dict[str, float]:
-        """Return the labels of `labels_between`; none before the first touch is confirmed. Raises ConfigError."""
+        """Return the labels of `labels_between`; none before the first touch is confirmed.
+
+        Raises ConfigError.
+        """
         if self._first is None:
             return {}
         return labels_between(
@@ -104,11 +117,13 @@ class RobotLabels:
 
 
 def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str, float]:
-    """Return depth, tilt, shear and twist of an object that stands still, relative to the first touch.
+    """Return depth, tilt, shear and twist of an object that stands still,
+    relative to the first touch.
 
-    With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now at q = now_T_first
-    (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the rotation of now_T_first, which is
-    R_y(tilt_y) R_x(tilt_x) R_z(twist). The tip of a pad (r infinite) is (0, 0, 0).
+    With now_T_first = now⁻¹ first, the object's point that was at the skin's tip (0, 0, r) is now
+    at q = now_T_first (0, 0, r): depth is r - q_z, shear (q_x, q_y). The object has turned by the
+    rotation of now_T_first, which is R_y(tilt_y) R_x(tilt_x) R_z(twist). The tip of a pad (r
+    infinite) is (0, 0, 0).
 
     `first`, `now`: ``base_T_sensor``. `skin_radius_mm`: r.
     """

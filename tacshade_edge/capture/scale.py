@@ -26,7 +26,8 @@ _READING = re.compile(r"([+-]?) *(\d+(?:[.,]\d+)?|[.,]\d+) *([a-z]+)", re.IGNORE
 
 
 def parse_reading(line: bytes) -> float | None:
-    """The force in N that a line reports, a mass as its weight; None if it has no number with a known unit.
+    """The force in N that a line reports, a mass as its weight;
+    None if it has no number with a known unit.
 
     ``ST,GS,+  0.123 kg``, ``-12,5g`` and ``1.2 N`` are readings.
     """
@@ -95,7 +96,9 @@ class Scale:
             return np.array(self._t_s), np.array(self._force_n)
 
     def median_n(self, since_s: float) -> tuple[float, float]:
-        """Median of the readings since `since_s` and their spread from the 5th to the 95th percentile; NaN if none."""
+        """Median of the readings since `since_s` and their spread from the 5th
+        to the 95th percentile; NaN if none.
+        """
         t_s, force_n = self.readings()
         recent = force_n[t_s >= since_s]
         if not len(recent):
@@ -126,7 +129,9 @@ class Scale:
 
 
 def force_at(at_s: float, t_s: F64, force_n: F64) -> float | None:
-    """Return the force in N, interpolated between readings at most `GAP_S` apart; None elsewhere."""
+    """Return the force in N, interpolated between readings at most `GAP_S` apart;
+    None elsewhere.
+    """
     after = int(np.searchsorted(t_s, at_s))
     if not 0 < after < len(t_s) or t_s[after] - t_s[after - 1] > GAP_S:
         return None
@@ -141,7 +146,9 @@ ERROR_MOST_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """A scale's clock offset and its standard error: a picture of time t shows the force read at t + `offset_s`."""
+    """A scale's clock offset and its standard error:
+    a picture of time t shows the force read at t + `offset_s`.
+    """
 
     offset_s: float
     error_s: float
@@ -150,7 +157,9 @@ class ClockOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """Times in s and the picture's change, both (n,), from before a press until after it was lifted."""
+    """Times in s and the picture's change, both (n,),
+    from before a press until after it was lifted.
+    """
 
     t_s: F64
     change: F64
@@ -159,15 +168,18 @@ class Press:
 def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
     """Find the offset as the mean lag of the presses; their scatter gives its standard error.
 
-    Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a parabola through the
-    greatest correlation and its neighbours locates the peak between the steps.
+    Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a
+    parabola through the greatest correlation and its neighbours locates the peak between the steps.
 
-    `t_s`, `force` (float64 (m,)): the scale's readings and their arrival times, ascending. Raises ValueError (``found
-    …, expected …``: why the offset cannot be found).
+    `t_s`, `force` (float64 (m,)): the scale's readings and their arrival times, ascending. Raises
+    ValueError (``found …, expected …``: why the offset cannot be found).
     """
     lags = [lag for press in presses if (lag := _lag_s(press, t_s, force)) is not None]
     if len(lags) < PRESSES_LEAST:
-        found = f"found {len(lags)} presses (of {len(presses)}) in which picture and force rise and fall together"
+        found = (
+            f"found {len(lags)} presses (of {len(presses)}) "
+            "in which picture and force rise and fall together"
+        )
         raise ValueError(
             f"{found}, expected at least {PRESSES_LEAST}, each pressed and lifted while recording"
         )
@@ -181,7 +193,9 @@ def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
 
 
 def _lag_s(press: Press, t_s: F64, force: F64) -> float | None:
-    """Return one press's lag in s; None if it correlates too weakly or best at the end of the range."""
+    """Return one press's lag in s; None if it correlates too weakly or best at the end
+    of the range.
+    """
     if len(press.t_s) < 5 or len(t_s) < 5:
         return None
     lags = np.arange(-RANGE_S, RANGE_S + _STEP_S / 2, _STEP_S)

@@ -1,5 +1,6 @@
-"""The dialogue of a capture: look, references, rest, touches, presses. Every press can be undone, and a later run
-continues.
+"""The dialogue of a capture: look, references, rest, touches, presses.
+
+Every press can be undone, and a later run continues.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ from tacshade_edge.types import U8, Calibration, Frame
 REFERENCES = STILL_FRAMES
 REFERENCES_S = 3.0
 
-_HELP = """  Press the indenter in and hold it, type what it is, then Enter; the picture is taken once it stands still:
+_HELP = """  Press the indenter in and hold it, type what it is, then Enter;
+  the picture is taken once it stands still:
     ball RADIUS_MM DEPTH_MM X_MM Y_MM    a ball; without X_MM Y_MM the picture gives its place
     NAME DEPTH_MM X_MM Y_MM              an indenter of INDENTERS.yaml
     DEPTH_MM X_MM Y_MM                   the same indenter as before
-    ball RADIUS_MM, or NAME              depth and place from the robot, once you have typed one press with it
+    ball RADIUS_MM, or NAME              depth and place from the robot, once you have typed
+                                         one press with it
   Enter alone takes the press suggested in brackets.
     undo [NUMBER]   remove the last press, or that one, and suggest it again
     skip            leave out the suggested press
@@ -62,8 +65,10 @@ class Session:
                 self.plan.remove(one.stated)
 
     def run(self) -> None:
-        """Take references, rest and touches if there are none, then presses until the person ends the run. Raises
-        InputEnded, DeviceError, ConfigError (the folder keeps what was taken before).
+        """Take references, rest and touches if there are none,
+        then presses until the person ends the run.
+
+        Raises InputEnded, DeviceError, ConfigError (the folder keeps what was taken before).
         """
         images = self.folder.references()
         unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
@@ -112,8 +117,10 @@ class Session:
     def _take_references(self) -> Calibration:
         while True:
             self.live.ask(
-                f"Adjust lens and light until disc, focus and contrast are good. Make sure that nothing touches the "
-                f"skin; Enter takes {REFERENCES} references.",
+                (
+                    "Adjust lens and light until disc, focus and contrast are good. Make sure that "
+                    f"nothing touches the skin; Enter takes {REFERENCES} references."
+                ),
                 with_figures=True,
             )
             images = [np.array(frame.image) for frame in self.live.frames(REFERENCES, REFERENCES_S)]
@@ -135,7 +142,10 @@ class Session:
             return unloaded
 
     def _unloaded(self, images: Sequence[U8]) -> Calibration:
-        """Calibrate from references alone. Raises ConfigError if the images cannot serve as references."""
+        """Calibrate from references alone.
+
+        Raises ConfigError if the images cannot serve as references.
+        """
         rest_grey = rest_grey_of([block_means(to_grey(image)) for image in images])
         result = calibrate(self.sensor, images)
         for warning in result.warnings:
@@ -175,7 +185,10 @@ class Session:
         self.terminal.say(f"  removed {chosen[0].image}")
 
     def _press(self, words: Sequence[str]) -> None:
-        """Take a press. Raises ConfigError (it is stated wrongly, or `calibrate` would not use its picture)."""
+        """Take a press.
+
+        Raises ConfigError (it is stated wrongly, or `calibrate` would not use its picture).
+        """
         asked = self._asked(words)
         if (frame := self.live.still_frame()) is None:
             return
@@ -206,7 +219,9 @@ class Session:
             self.terminal.say(f"  cannot find the next place from the robot's poses: {unknown}")
 
     def _at_robot(self) -> Name | None:
-        """The last press's indenter if the robot gives place and depth of its next press, otherwise None."""
+        """The last press's indenter if the robot gives place and depth of its next press,
+        otherwise None.
+        """
         if not self.robot or not self._taken:
             return None
         indenter, radius_mm, *_ = self._taken[-1].stated.columns
@@ -220,8 +235,10 @@ class Session:
         )
 
     def _asked(self, words: Sequence[str]) -> Stated | Name:
-        """Return the typed press, completed from the last one; only its indenter if the robot gives the rest. Raises
-        ConfigError.
+        """Return the typed press, completed from the last one;
+        only its indenter if the robot gives the rest.
+
+        Raises ConfigError.
         """
         if not words:
             if suggested := (*self._again, *self.plan):
@@ -234,7 +251,8 @@ class Session:
             if self.robot.known((indenter, radius_mm)):
                 return indenter, radius_mm
             raise ConfigError(
-                f"found no press of {indenter} in this run, expected a first press with depth, x and y"
+                f"found no press of {indenter} in this run, expected a first press with depth, "
+                "x and y"
             )
         if len(rest) not in (1, 3):
             found = f"found {len(rest)} values after the indenter"

@@ -1,4 +1,6 @@
-"""Pictures that need no label: the untouched sensor for a while, and touches of anything, anywhere."""
+"""Pictures that need no label: the untouched sensor for a while, and touches of anything,
+anywhere.
+"""
 
 from __future__ import annotations
 
@@ -26,21 +28,28 @@ SETTLED_S: Final = 0.3
 """A touch is taken once the picture has stood still for this long."""
 _UNTOUCHED_S: Final = 1.0
 _OTHER_PART: Final = 0.5
-"""Another touch differs from the one before by at least this part of that one's change from rest."""
+"""Another touch differs from the one before by at least this part of that one's change
+from rest.
+"""
 _JUDGED_MAX: Final = 20
 _SKIP: Final = "skip"
 
-_REST_TEXT = f"""{REST_S:.0f} s of the untouched sensor show where a touch begins. Keep everything off the skin.
+_REST_TEXT = f"""{REST_S:.0f} s of the untouched sensor show where a touch begins.
+Keep everything off the skin.
 If a robot holds the sensor, let it move as in use.
 Enter starts, Enter again ends it early, skip leaves it out:"""
-_TOUCHES_TEXT = f"""{TOUCHES} touches of anything, anywhere, light and firm, show how this skin looks when touched.
+_TOUCHES_TEXT = f"""{TOUCHES} touches of anything, anywhere, light and firm,
+show how this skin looks when touched.
 They need no numbers. Hold each for a moment.
 Enter starts, while nothing touches; Enter again ends it early, skip leaves it out:"""
 
 
 @dataclass(eq=False)
 class Unlabelled:
-    """Takes these pictures into the folder of a capture. `judge`: whether `calibrate` can use a picture."""
+    """Takes these pictures into the folder of a capture.
+
+    `judge`: whether `calibrate` can use a picture.
+    """
 
     folder: CaptureFolder
     live: Live
@@ -48,8 +57,10 @@ class Unlabelled:
     judge: Callable[[U8], Judgement]
 
     def take_missing(self) -> str:
-        """Take what the folder lacks, if the person does not skip it. A person who types anything else, such as a
-        press, skips all of it: returns that line, else an empty one. Raises InputEnded, DeviceError.
+        """Take what the folder lacks, if the person does not skip it.
+
+        A person who types anything else, such as a press, skips all of it: returns that line, else
+        an empty one. Raises InputEnded, DeviceError.
         """
         instead = "" if self.folder.rest_pictures() else self.take_rest()
         if instead or len(self.folder.touch_pictures()) >= TOUCHES:
@@ -57,8 +68,9 @@ class Unlabelled:
         return self.take_touches()
 
     def take_rest(self) -> str:
-        """Record the untouched sensor; an earlier recording stays until this one is complete. Returns and raises like
-        `take_missing`.
+        """Record the untouched sensor; an earlier recording stays until this one is complete.
+
+        Returns and raises like `take_missing`.
         """
         if answer := self.live.ask(_REST_TEXT):
             return _instead(answer)
@@ -75,7 +87,9 @@ class Unlabelled:
         return ""
 
     def _record(self) -> tuple[int, float]:
-        """Store frames at even times for `REST_S` or until a line is typed; how many, and for how many seconds."""
+        """Store frames at even times for `REST_S` or until a line is typed;
+        how many, and for how many seconds.
+        """
         self.folder.begin_rest()
         start_ns, taken, seconds = self.live.frame().t_ns, 0, 0.0
         while seconds < REST_S and self.terminal.line() is None:
@@ -89,7 +103,9 @@ class Unlabelled:
         return taken, seconds
 
     def _warn_of_touched(self) -> None:
-        """Warn of pictures that look touched; they stay, since an unknown print can look so at rest too."""
+        """Warn of pictures that look touched; they stay,
+        since an unknown print can look so at rest too.
+        """
         paths = self.folder.rest_pictures()
         some = paths[:: -(-len(paths) // _JUDGED_MAX)]
         judged = [self.judge(self.folder.picture(path)) for path in some]
@@ -99,8 +115,8 @@ class Unlabelled:
             self.terminal.say(f"  warning: {found}; if something did, type rest to repeat it")
 
     def take_touches(self, *, anew: bool = False) -> str:
-        """Take touches until there are `TOUCHES` or the person ends it; `anew`: instead of those that the folder has.
-        Returns and raises like `take_missing`.
+        """Take touches until there are `TOUCHES` or the person ends it; `anew`: instead of those
+        that the folder has. Returns and raises like `take_missing`.
         """
         if answer := self.live.ask(_TOUCHES_TEXT):
             return _instead(answer)

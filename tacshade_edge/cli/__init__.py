@@ -1,4 +1,6 @@
-"""The command line: parses arguments, runs a command and prints its errors; imports only that command's module."""
+"""The command line: parses arguments, runs a command and prints its errors;
+imports only that command's module.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "stitch": (
         "stitch",
-        "combine images and the robot's poses into one large map, and score it against a known surface",
+        (
+            "combine images and the robot's poses into one large map, "
+            "and score it against a known surface"
+        ),
     ),
     "completion": ("completion", "print a shell script that completes commands and options"),
     "simulate": (
@@ -87,7 +92,9 @@ class _Version(argparse.Action):
 def command_line(
     is_wanted: Callable[[str], bool],
 ) -> tuple[argparse.ArgumentParser, dict[str, Any]]:
-    """Return the command line's parser and the modules of the wanted commands; only these get their options."""
+    """Return the command line's parser and the modules of the wanted commands;
+    only these get their options.
+    """
     parser = argparse.ArgumentParser(
         prog="tacshade-edge",
         description="Measure metric shape by touch with TacShade sensors.",
@@ -108,7 +115,9 @@ def command_line(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0 done, 1 failed, 2 wrong usage, 78 bad configuration."""
+    """Run one command and return its exit code: 0 done, 1 failed, 2 wrong usage,
+    78 bad configuration.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     chosen = next((w for w in words if not w.startswith("-")), None)
     parser, modules = command_line(lambda name: name == chosen)

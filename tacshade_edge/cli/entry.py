@@ -1,4 +1,6 @@
-"""The process around a command: refuses limits that are too low, and exits with the command's code in any case."""
+"""The process around a command: refuses limits that are too low,
+and exits with the command's code in any case.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ from typing import NoReturn
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
 
-# With less address space, most of which is never used, OpenCV crashes as it is loaded, or OpenBLAS ends the process
-# later. The supervisor of a hand with 16 sensors and a robot opens about 100 files.
+# With less address space, most of which is never used, OpenCV crashes as it is loaded, or OpenBLAS
+# ends the process later. The supervisor of a hand with 16 sensors and a robot opens about 100
+# files.
 LIMITS = (
     (resource.RLIMIT_AS, 1 << 30, 20, "MiB of address space (ulimit -v, RLIMIT_AS)"),
     (resource.RLIMIT_NOFILE, 128, 0, "open files (ulimit -n, RLIMIT_NOFILE)"),
@@ -37,17 +40,20 @@ def entry() -> NoReturn:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process with this exit code, though a thread may still run: slowly, or in a driver that hangs.
+    """End the process with this exit code, though a thread may still run:
+    slowly, or in a driver that hangs.
 
-    CPython ends such a thread with ``pthread_exit``, for which C++ libraries abort the process, so the interpreter
-    shuts down only if no other thread is left.
+    CPython ends such a thread with ``pthread_exit``, for which C++ libraries abort the process, so
+    the interpreter shuts down only if no other thread is left.
     """
     _end_if_threads_are_left(code)
     sys.exit(code)
 
 
 def _defect(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Handle an uncaught error: print a traceback and exit with 1, which Python does by itself if no thread is left."""
+    """Handle an uncaught error: print a traceback and exit with 1,
+    which Python does by itself if no thread is left.
+    """
     sys.__excepthook__(kind, error, trace)
     _end_if_threads_are_left(EXIT_FAILED)
 

@@ -1,4 +1,6 @@
-"""The daemon: the only module that wires source, reconstructor and broker together, and the main thread's loop."""
+"""The daemon: the only module that wires source, reconstructor and broker together,
+and the main thread's loop.
+"""
 
 from __future__ import annotations
 
@@ -69,9 +71,11 @@ Event = Literal["stop", "reload", "recorded"] | Crash | SourceState | tuple[Requ
 
 
 class App:
-    """One sensor's daemon; until `reload` finds a calibration, only the camera's picture is published.
+    """One sensor's daemon; until `reload` finds a calibration,
+    only the camera's picture is published.
 
-    `hand_line` and `robot_line` lead to other processes of the daemon: to its hand, and to those that share a robot.
+    `hand_line` and `robot_line` lead to other processes of the daemon:
+    to its hand, and to those that share a robot.
     """
 
     def __init__(
@@ -123,8 +127,8 @@ class App:
         timings = Timings()
         self._health = Health(self.ledger, timings)
         self._preview = Preview(self.link)
-        # In the order in which they see a frame: sessions before publishing, since a subscriber that sees a contact may
-        # begin one.
+        # In the order in which they see a frame: sessions before publishing, since a subscriber
+        # that sees a contact may begin one.
         parts: list[FrameObserver | None] = [
             self._sessions,
             self._publisher,
@@ -197,8 +201,12 @@ class App:
         self._events.put("reload")
 
     def run(self) -> None:
-        """Work until `stop` or the end of a finite source. Raises ConfigError, or what ended a thread."""
-        # OpenCV's other threads spin between a frame's small images: they take a third of its CPU time and save none.
+        """Work until `stop` or the end of a finite source.
+
+        Raises ConfigError, or what ended a thread.
+        """
+        # OpenCV's other threads spin between a frame's small images:
+        # they take a third of its CPU time and save none.
         cv2.setNumThreads(1)
         share_free_memory()
         return_free_memory()
@@ -295,7 +303,9 @@ class App:
         return reconstructor if isinstance(reconstructor, Reason) else None
 
     def _look_for_calibration(self) -> None:
-        """If there is no calibration, use one that has appeared; an unusable one is reported once."""
+        """If there is no calibration, use one that has appeared;
+        an unusable one is reported once.
+        """
         if self._missing() is None:
             return
         try:
@@ -376,7 +386,10 @@ class App:
         elif self._sessions is not None:
             self._sessions.handle(request, reply)
         else:
-            text = "found no source of poses, expected `serial` in the settings or a recording with poses"
+            text = (
+                "found no source of poses, expected `serial` in the settings or a recording with "
+                "poses"
+            )
             reply(Reason(ReasonCode.UNAVAILABLE, text))
 
     def _choose_profile(self, name: str) -> ProfileChosen | Reason:
@@ -409,7 +422,9 @@ class App:
     # Publishing.
 
     def _camera_now(self) -> SourceState:
-        """The source's state, including what only the clock and the reconstruction show: a stall, unusable frames."""
+        """The source's state, including what only the clock and the reconstruction show:
+        a stall, unusable frames.
+        """
         silent_s = (time.monotonic_ns() - self._pipeline.grab.last_frame_ns) / 1e9
         if self._camera.state == "streaming" and silent_s > STALL_S:
             stalled = Reason(ReasonCode.STALLED, f"no frame for more than {STALL_S:.0f} s")
@@ -497,8 +512,10 @@ RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 def reload(
     running: Document, *, calibrated: bool
 ) -> tuple[Document, Calibration | Reason, tuple[str, ...]]:
-    """Read the settings and the calibration again; there must be one if there was (`calibrated`). The result has the
-    running settings for every key in `RESTART_KEYS`, and names those that changed. Raises ConfigError.
+    """Read the settings and the calibration again; there must be one if there was (`calibrated`).
+
+    The result has the running settings for every key in `RESTART_KEYS`, and names those that
+    changed. Raises ConfigError.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
     sources.check_files(new)

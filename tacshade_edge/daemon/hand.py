@@ -1,5 +1,6 @@
-"""The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and opens no device.
-Each finger has its own pair of datagram sockets, so that none harms another, and neither end waits.
+"""The hand's own process: receives its fingers' reports, publishes their objects, sees no frame and
+opens no device. Each finger has its own pair of datagram sockets, so that none harms another, and
+neither end waits.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ BYTES_MAX = 1 << 15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerLine:
-    """A finger's end. If no hand's process reads it, the kernel takes some hundred messages and then no more."""
+    """A finger's end.
+
+    If no hand's process reads it, the kernel takes some hundred messages and then no more.
+    """
 
     sock: socket.socket
     shared: mmap.mmap
@@ -55,7 +59,9 @@ class FingerLine:
 
 
 class Lines:
-    """All lines of a hand: the ends of its `fingers` and those of the `hand`, by the fingers' ids."""
+    """All lines of a hand: the ends of its `fingers` and those of the `hand`,
+    by the fingers' ids.
+    """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._wanted = mmap.mmap(-1, 1)
@@ -102,7 +108,9 @@ class FingerReporter(FrameObserver):
         return Need.DEPTH if self._line.wanted else Need.CONTACT
 
     def see(self, seen: FrameResult) -> None:
-        """Report a frame's result: every one in contact, every change, and otherwise ten a second."""
+        """Report a frame's result: every one in contact, every change,
+        and otherwise ten a second.
+        """
         if (result := seen.reconstruction) is None or not self._line.wanted:
             self._reported = None
             return
@@ -135,7 +143,10 @@ STOPPED_S: Final = 1.9
 
 
 class HandProcess:
-    """One hand's conversation with its fingers and the broker. Raises ConfigError for settings that can never work."""
+    """One hand's conversation with its fingers and the broker.
+
+    Raises ConfigError for settings that can never work.
+    """
 
     def __init__(self, hand: Hand, lines: Lines) -> None:
         self._lines = lines
@@ -154,7 +165,10 @@ class HandProcess:
         self._stopping = True
 
     def run(self) -> None:
-        """Work until `stop`. Raises the exception that ended a thread; the broker then publishes the last will."""
+        """Work until `stop`.
+
+        Raises the exception that ended a thread; the broker then publishes the last will.
+        """
         share_free_memory()
         with crashes_to(self._crashes.append):
             self._link.start()

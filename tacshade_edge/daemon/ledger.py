@@ -17,7 +17,9 @@ WINDOW_FRAMES = 512
 
 @dataclass(slots=True)
 class Counts:
-    """Frames since the start; captured is the sum of the others (docs/explanation/architecture.md)."""
+    """Frames since the start; captured is the sum of the others
+    (docs/explanation/architecture.md).
+    """
 
     captured: int = 0
     published: int = 0
@@ -33,7 +35,10 @@ class Counts:
 
 
 class FrameLedger:
-    """Records each frame's arrival and its one outcome; thread-safe. A second outcome is a defect: KeyError."""
+    """Records each frame's arrival and its one outcome; thread-safe.
+
+    A second outcome is a defect: KeyError.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -68,7 +73,9 @@ class FrameLedger:
         setattr(self._counts, outcome, getattr(self._counts, outcome) + 1)
 
     def close(self, timeout_s: float) -> int:
-        """Wait for the open frames, record the rest as failed and nothing after that; return how many failed."""
+        """Wait for the open frames, record the rest as failed and nothing after that;
+        return how many failed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: not self._open, timeout_s)
             given_up = len(self._open)

@@ -11,14 +11,17 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
-# Deadlines after the beginning of a stop, even if something hangs: a part that ends early leaves its time to the next.
+# Deadlines after the beginning of a stop, even if something hangs:
+# a part that ends early leaves its time to the next.
 SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S = 0.1, 0.9, 1.1
 RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
 
 FRAME_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
 Reply = Callable[[Any], None]
-"""``reply(outcome)``, called once, from any thread: a request's result or dictionary, or the reason for none."""
+"""``reply(outcome)``, called once, from any thread:
+a request's result or dictionary, or the reason for none.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +35,10 @@ class SourceState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
-    """A frame and its result. `calibration` is None before the first; `reconstruction` is None for a contact whose
-    depth nobody needed.
+    """A frame and its result.
+
+    `calibration` is None before the first; `reconstruction` is None
+    for a contact whose depth nobody needed.
     """
 
     frame: Frame
@@ -43,11 +48,12 @@ class FrameResult:
 
 
 class FrameObserver:
-    """A part of the daemon that sees frames; subclasses override what they need, and the defaults do nothing.
+    """A part of the daemon that sees frames; subclasses override what they need,
+    and the defaults do nothing.
 
-    The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need` and `see`. None of
-    these may wait. The main thread calls the others. `stop` must have returned `stop_s` after the beginning of a stop;
-    the part with the earliest time stops first.
+    The thread `grab` calls `tap`, and `need` while nobody needs a frame; `reconstruct` calls `need`
+    and `see`. None of these may wait. The main thread calls the others. `stop` must have returned
+    `stop_s` after the beginning of a stop; the part with the earliest time stops first.
     """
 
     health_key: ClassVar[str] = ""
@@ -58,7 +64,9 @@ class FrameObserver:
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:
-        """The function that takes each frame from the source, whatever its outcome; None while nothing takes them."""
+        """The function that takes each frame from the source, whatever its outcome;
+        None while nothing takes them.
+        """
         return None
 
     def need(self) -> Need:
@@ -86,7 +94,9 @@ class FrameObserver:
 
 
 class FrameWaiters:
-    """Commands, as the functions that answer them, that wait for the first frame taken after them; for any thread."""
+    """Commands, as the functions that answer them, that wait for the first frame taken after them;
+    for any thread.
+    """
 
     def __init__(self, what: str) -> None:
         self._what = what

@@ -1,4 +1,6 @@
-"""Source, reconstructor and observers with their two threads: the graph that every live command runs."""
+"""Source, reconstructor and observers with their two threads:
+the graph that every live command runs.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,11 @@ class Crash:
 
 
 class Pipeline:
-    """The graph. One of the `observers`, which see a frame in this order, settles it in the ledger. `running` is the
-    next frame's reconstructor, or the reason that there is none; `report` receives each new `SourceState` in the grab
-    thread.
+    """The graph.
+
+    One of the `observers`, which see a frame in this order, settles it in the ledger. `running` is
+    the next frame's reconstructor, or the reason that there is none; `report` receives each new
+    `SourceState` in the grab thread.
     """
 
     def __init__(
@@ -65,7 +69,9 @@ class Pipeline:
             thread.start()
 
     def stop(self, timeout_s: float) -> bool:
-        """Stop reading and finish the frame in the mailbox; return False if a thread did not end in time."""
+        """Stop reading and finish the frame in the mailbox;
+        return False if a thread did not end in time.
+        """
         deadline = time.monotonic() + timeout_s
         grab, reconstruct = self._threads
         self.grab.stop()
@@ -84,7 +90,9 @@ class Pipeline:
 
 @contextmanager
 def crashes_to(report: Callable[[Crash], None]) -> Iterator[None]:
-    """Report every exception that ends any thread, so that the process never runs on with a thread missing."""
+    """Report every exception that ends any thread,
+    so that the process never runs on with a thread missing.
+    """
 
     def hook(crash: threading.ExceptHookArgs) -> None:
         if crash.exc_value is not None:
@@ -101,8 +109,9 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """One slot between two threads: the newest item wins. Two locks replace a condition, so that the taker never wakes
-    only to wait for `put`.
+    """One slot between two threads: the newest item wins.
+
+    Two locks replace a condition, so that the taker never wakes only to wait for `put`.
     """
 
     def __init__(self) -> None:
@@ -113,7 +122,10 @@ class Mailbox(Generic[T]):
         self._closed = False
 
     def put(self, item: T) -> T | None:
-        """Leave `item` for the taker. The caller accounts for what it gets back: replaced, or refused."""
+        """Leave `item` for the taker.
+
+        The caller accounts for what it gets back: replaced, or refused.
+        """
         with self._lock:
             if self._closed:
                 return item
@@ -142,14 +154,17 @@ class Mailbox(Generic[T]):
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
 LOOK_EVERY = 6
-"""One in this many frames that nobody needs is examined, for the sensor's state and for a reference that follows.
-After an invalid frame every one is: otherwise skipped frames would hide that none can be used. A skipped frame costs
-only the source's `skip`: it is neither copied nor passed to another thread."""
+"""One in this many frames that nobody needs is examined, for the sensor's state and for a reference
+that follows. After an invalid frame every one is: otherwise skipped frames would hide that none can
+be used. A skipped frame costs only the source's `skip`: it is neither copied nor passed to another
+thread.
+"""
 
 
 class Grab:
-    """Reads the source until it ends, and reopens a lost one with growing pauses. `wants_next` is called once for each
-    frame, before it comes: whether it goes to the mailbox.
+    """Reads the source until it ends, and reopens a lost one with growing pauses.
+
+    `wants_next` is called once for each frame, before it comes: whether it goes to the mailbox.
     """
 
     def __init__(
@@ -246,7 +261,9 @@ class Grab:
 
 
 class Reconstruct:
-    """Takes the newest frame, reconstructs it, adds its pose, which may have come by then, and shows it to all."""
+    """Takes the newest frame, reconstructs it, adds its pose, which may have come by then,
+    and shows it to all.
+    """
 
     def __init__(
         self,
@@ -281,7 +298,10 @@ class Reconstruct:
             self.processed += 1
 
     def wants_next(self) -> bool:
-        """Whether to examine the next frame, because it is needed or its turn has come. `grab` calls this once each."""
+        """Whether to examine the next frame, because it is needed or its turn has come.
+
+        `grab` calls this once each.
+        """
         self._passed += 1
         if self._passed < self._look_every and self._need() is Need.CONTACT:
             return False

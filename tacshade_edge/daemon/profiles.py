@@ -1,4 +1,6 @@
-"""The profile that runs and its reconstructor, and the choice of a profile that keeps a latency budget."""
+"""The profile that runs and its reconstructor, and the choice of a profile
+that keeps a latency budget.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ STEPS_A_MINUTE = 6  # for a ladder of three: two tries, their returns, and two e
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A chooser's change to another profile; the reason is ``OVER_BUDGET`` down, ``WITHIN_BUDGET`` up."""
+    """A chooser's change to another profile; the reason is ``OVER_BUDGET`` down,
+    ``WITHIN_BUDGET`` up.
+    """
 
     chooser: ProfileChooser
     profile: str
@@ -42,8 +46,9 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """How well the chosen profile keeps the budget over its latest `WINDOW_FRAMES` frames: 90 % of them took at most
-    `within_ms`, None before the first; `kept` is None while there are too few to judge.
+    """How well the chosen profile keeps the budget over its latest `WINDOW_FRAMES` frames: 90 % of
+    them took at most `within_ms`, None before the first; `kept` is None while there are too few to
+    judge.
     """
 
     frames: int = 0
@@ -52,10 +57,10 @@ class Standing:
 
 
 class ProfileChooser:
-    """Steps down a ladder of profiles as soon as a budget is not kept, and up slowly when a better one would keep it.
-    After a failed try up the next one waits twice as long; whatever the noise, it takes at most `STEPS_A_MINUTE`.
-    `costs_ms`, the most expensive profile first, are those of a step in contact on this idle machine. Another thread
-    may read `standing`.
+    """Steps down a ladder of profiles as soon as a budget is not kept, and up slowly when a better
+    one would keep it. After a failed try up the next one waits twice as long; whatever the noise,
+    it takes at most `STEPS_A_MINUTE`. `costs_ms`, the most expensive profile first, are those of a
+    step in contact on this idle machine. Another thread may read `standing`.
     """
 
     def __init__(self, budget_ms: float, costs_ms: Mapping[str, float]) -> None:
@@ -74,8 +79,8 @@ class ProfileChooser:
         return self.profile == self._ladder[-1]
 
     def observe(self, profile: str, now_s: float, latency_ms: float, own_ms: float) -> Step | None:
-        """Take a frame in contact into account, of which the reconstruction took `own_ms`; one of another `profile`
-        than the chosen one began before the step. `now_s` never decreases.
+        """Take a frame in contact into account, of which the reconstruction took `own_ms`; one of
+        another `profile` than the chosen one began before the step. `now_s` never decreases.
         """
         if profile != self.profile:
             return None
@@ -93,7 +98,10 @@ class ProfileChooser:
         )
         at = self._ladder.index(profile)
         if late > LATE_FRAMES and not self.lowest:
-            text = f"{late} of the latest {frames} frames in contact took more than {self.budget_ms:g} ms"
+            text = (
+                f"{late} of the latest {frames} frames in contact took more than "
+                f"{self.budget_ms:g} ms"
+            )
             failed = self._trial and self._frames < TRIAL_FRAMES
             doubled_s = min(2 * self._patience_s[profile], LONGEST_PATIENCE_S)
             self._patience_s[profile] = doubled_s if failed else PATIENCE_S
@@ -136,10 +144,12 @@ CALM_S = 60
 
 
 class ActiveProfile(FrameObserver):
-    """One profile, or `AUTO`: then all of `LADDER` are kept ready, so that a step builds nothing and waits for nothing.
+    """One profile, or `AUTO`: then all of `LADDER` are kept ready,
+    so that a step builds nothing and waits for nothing.
 
-    Only the main thread replaces `reconstructor`, which is a reason if there is no calibration: until there is one,
-    `choose` only stores the choice. `report` is called in the reconstruct thread: pass its `Step` to `step`.
+    Only the main thread replaces `reconstructor`, which is a reason if there is no calibration:
+    until there is one, `choose` only stores the choice. `report` is called in the reconstruct
+    thread: pass its `Step` to `step`.
     """
 
     health_key = "budget"
@@ -182,7 +192,9 @@ class ActiveProfile(FrameObserver):
             self._install(choice, running.calibration, {})
 
     def use(self, calibration: Calibration | Reason) -> None:
-        """Use another calibration and keep what `AUTO` has measured; before the first, why it is missing."""
+        """Use another calibration and keep what `AUTO` has measured;
+        before the first, why it is missing.
+        """
         running = self.reconstructor
         if isinstance(calibration, Reason):
             self.reconstructor = calibration
@@ -246,7 +258,9 @@ class ActiveProfile(FrameObserver):
             self._report(step)
 
     def log_late(self) -> None:
-        """Log that even the fastest profile misses the budget, again only after `CALM_S`; call it once a second."""
+        """Log that even the fastest profile misses the budget, again only after `CALM_S`;
+        call it once a second.
+        """
         chooser = self._chooser
         if chooser is None or chooser.standing.within_ms is None:
             return
@@ -256,13 +270,18 @@ class ActiveProfile(FrameObserver):
             self._late_logged = False
         if late and chooser.lowest and not self._late_logged:
             self._late_logged = True
-            found = "%s, the fastest profile, misses the budget of %g ms: 90 %% of frames took up to %.1f ms"
+            found = (
+                "%s, the fastest profile, misses the budget of %g ms: "
+                "90 %% of frames took up to %.1f ms"
+            )
             _log.warning(found, chooser.profile, chooser.budget_ms, chooser.standing.within_ms)
 
     def _install(
         self, choice: str, calibration: Calibration, ready: dict[str, Reconstructor]
     ) -> None:
-        """Use `choice`, with `ready` reconstructors, which no other thread may use: they are rehearsed here."""
+        """Use `choice`, with `ready` reconstructors, which no other thread may use:
+        they are rehearsed here.
+        """
         self.choice, self._late_logged, self._calm_s = choice, False, 0
         names = LADDER if choice == AUTO and self.budget_ms is not None else (choice,)
         self._kept = {name: ready.get(name) or self._made(calibration, name) for name in names}
@@ -282,7 +301,9 @@ class ActiveProfile(FrameObserver):
 
 
 def step_cost_ms(reconstructor: Reconstructor) -> float:
-    """Approximate duration of a step in contact here, ms: the least of several runs of preprocessing and solver."""
+    """Approximate duration of a step in contact here, ms: the least of several runs of
+    preprocessing and solver.
+    """
     image = reconstructor.calibration.reference_grey
     frame = Frame(seq=0, t_ns=0, wall_ns=0, image=image)
     took_ns = []

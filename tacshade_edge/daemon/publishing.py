@@ -1,4 +1,6 @@
-"""What is published, and when: a frame's results, ``health``, ``preview``, and the announcement in Home Assistant."""
+"""What is published, and when: a frame's results, ``health``, ``preview``,
+and the announcement in Home Assistant.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ _ENTITIES: Final = {
     "profile": "select",
     "rezero": "button",
 }
-# Home Assistant takes None for unknown. A touch without a depth is on: whoever waits for a touch must not miss one.
+# Home Assistant takes None for unknown. A touch without a depth is on:
+# whoever waits for a touch must not miss one.
 _DEPTH_TEMPLATE: Final = (
     "{{ None if value_json.depth_max_mm is none else value_json.depth_max_mm | round(1) }}"
 )
@@ -47,8 +50,10 @@ def discovery_topics(sensor_id: str) -> tuple[str, ...]:
 
 
 def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
-    """The announcements by topic (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery). The depth is
-    rounded because Home Assistant stores each value that differs from the previous one.
+    """The announcements by topic (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery).
+
+    The depth is rounded because Home Assistant stores each value that differs
+    from the previous one.
     """
     base = f"tacshade/{sensor_id}"
     online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
@@ -116,9 +121,10 @@ CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is p
 
 @dataclass(eq=False)
 class Publisher(FrameObserver):
-    """Publishes what subscribers want of a frame, and settles the frame, if its height is offered by the outcome of
-    that. Messages without a listener are left out, except when a contact, or a touch of unknown depth, begins or ends,
-    so that no subscriber is left with outdated values. With `always_shear` it requests shear even without a listener.
+    """Publishes what subscribers want of a frame, and settles the frame, if its height is offered
+    by the outcome of that. Messages without a listener are left out, except when a contact, or a
+    touch of unknown depth, begins or ends, so that no subscriber is left with outdated values. With
+    `always_shear` it requests shear even without a listener.
     """
 
     offer: Callable[[str, bytes, int], None]
@@ -151,7 +157,8 @@ class Publisher(FrameObserver):
             return
         changed = (result.contact, result.touched) != self._state
         self._state = result.contact, result.touched
-        # All are encoded first, and handed over last: the link's thread then does not take turns with this one.
+        # All are encoded first, and handed over last:
+        # the link's thread then does not take turns with this one.
         payloads: list[tuple[str, bytes]] = []
         crc32 = 0 if seen.calibration is None else seen.calibration.crc32
         taken = wire.Taken(
@@ -193,9 +200,10 @@ UPDATE_PERIOD_NS = 1_000_000_000
 
 
 class ContactEvents(FrameObserver):
-    """Publishes ``event/contact``: each contact's begin, its greatest values so far once a second, and its end. It
-    requests nothing: values are those of frames that others need, at least one a second. A touch of unknown depth
-    continues a contact, and begins one once it has lasted `BRIDGED_NS`.
+    """Publishes ``event/contact``: each contact's begin, its greatest values so far once a second,
+    and its end. It requests nothing: values are those of frames that others need, at least one a
+    second. A touch of unknown depth continues a contact, and begins one once it has lasted
+    `BRIDGED_NS`.
     """
 
     def __init__(self, publish_event: Callable[[str, bytes], None]) -> None:
@@ -256,9 +264,11 @@ def delivered(counts: Counts) -> int:
 
 
 class Health(FrameObserver):
-    """The ``health`` message: how many frames arrived, their outcomes, and how fast, as means between two snapshots.
+    """The ``health`` message: how many frames arrived, their outcomes, and how fast,
+    as means between two snapshots.
 
-    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid; None if one was good or none came.
+    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid;
+    None if one was good or none came.
     """
 
     def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
@@ -303,7 +313,9 @@ class Health(FrameObserver):
         }
 
     def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
-        """Note whether frames come but none can be used; keep the first reason, so that it is published once."""
+        """Note whether frames come but none can be used;
+        keep the first reason, so that it is published once.
+        """
         if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
             return
         if delivered(counts) > delivered(before):
@@ -350,8 +362,8 @@ ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
 
 
 class HomeAssistant:
-    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no longer do: retained
-    announcements outlive the daemon, and so does the status that reports them.
+    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no
+    longer do: retained announcements outlive the daemon, and so does the status that reports them.
     """
 
     def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:

@@ -1,5 +1,6 @@
-"""Records next to the running daemon (``req/record``), one recording at a time, by a thread behind a bounded queue: no
-frame waits for the disk. With a pre-roll, the thread keeps the latest frames, and a recording begins with them.
+"""Records next to the running daemon (``req/record``), one recording at a time, by a thread behind
+a bounded queue: no frame waits for the disk. With a pre-roll, the thread keeps the latest frames,
+and a recording begins with them.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ class ByteQueue(Generic[T]):
         self._closed = False
 
     def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> bool:
-        """Add an item, or return False if full. `reserve_bytes` above the limit are for this kind of item."""
+        """Add an item, or return False if full.
+
+        `reserve_bytes` above the limit are for this kind of item.
+        """
         with self._ready:
             if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
                 return False
@@ -77,11 +81,15 @@ class ByteQueue(Generic[T]):
         return len(self._items)
 
 
-# 54 grey frames of 640x480: almost a second at 60 per second. Part of the 150 MB that the service may use.
+# 54 grey frames of 640x480: almost a second at 60 per second.
+# Part of the 150 MB that the service may use.
 QUEUE_BYTES: Final = 16 * 2**20
 EVENTS_RESERVE_BYTES: Final = 256 * 1024  # an event fits when no frame does
 PRE_ROLL_BYTES: Final = 64 * 2**20
-"""As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour. Within the service's 150 MB, with 16 MiB that wait."""
+"""As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour.
+
+Within the service's 150 MB, with 16 MiB that wait.
+"""
 EVENT_BYTES: Final = 1024
 SYNC_S = STATUS_PERIOD_S = 1.0
 _NO_PIXELS = np.zeros((0, 0), np.uint8)
@@ -122,8 +130,8 @@ def _frames(items: Iterable[object]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in it; `ending` is None
-    while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
+    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in
+    it; `ending` is None while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
     """
 
     folder: Path
@@ -144,7 +152,10 @@ class Recorded:
 
 @dataclass(slots=True, eq=False)
 class _Recording:
-    """A recording that goes on; it is also the queue's item at which the thread begins it. Its first ending counts."""
+    """A recording that goes on; it is also the queue's item at which the thread begins it.
+
+    Its first ending counts.
+    """
 
     recorder: Recorder
     settings_yaml: str
@@ -170,8 +181,9 @@ class _Recording:
 
 
 class LiveRecorder(FrameObserver):
-    """Carries out ``req/record``, each request with one reply, for ``stop`` when everything is written. `written` and
-    `posed`, which may wait for a frame's pose, are called in the thread `record`.
+    """Carries out ``req/record``, each request with one reply, for ``stop`` when everything is
+    written. `written` and `posed`, which may wait for a frame's pose, are called in the thread
+    `record`.
     """
 
     health_key = "recorder"
@@ -284,7 +296,10 @@ class LiveRecorder(FrameObserver):
         about: Mapping[str, object],
         make: Callable[..., Recorder] = Recorder,
     ) -> None:
-        """Begin a recording in a new folder; `about` goes to ``recording.json``. Raises TacshadeError."""
+        """Begin a recording in a new folder; `about` goes to ``recording.json``.
+
+        Raises TacshadeError.
+        """
         if (now := self.now()) is not None:
             doing = (
                 "still writing the latest recording to" if now.ending else "already recording to"
@@ -303,7 +318,9 @@ class LiveRecorder(FrameObserver):
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:
-        """The function that takes each captured frame, while a recording runs or a pre-roll is kept."""
+        """The function that takes each captured frame,
+        while a recording runs or a pre-roll is kept.
+        """
         recording = self._recording
         return self._take if self._pre_roll_ns or (recording and not recording.ending) else None
 
@@ -330,7 +347,9 @@ class LiveRecorder(FrameObserver):
         self.event("source", state=source.state, **reason_fields(source.reason))
 
     def reconstructs_with(self, profile: str, calibration_crc32: int) -> None:
-        """Note the profile and calibration in use: another reference ends a recording, which contains the old one."""
+        """Note the profile and calibration in use: another reference ends a recording,
+        which contains the old one.
+        """
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
         if calibration_crc32 != self._calibration_crc32:
             self._calibration_crc32, self._oldest_ns = calibration_crc32, time.monotonic_ns()
@@ -354,7 +373,9 @@ class LiveRecorder(FrameObserver):
         return counts
 
     def poll(self) -> None:
-        """End a recording that is over, answer the request to stop it, and publish ``status/recorder``."""
+        """End a recording that is over, answer the request to stop it,
+        and publish ``status/recorder``.
+        """
         recording = self._recording
         if recording is not None and time.monotonic_ns() > recording.end_ns:
             self.end(TIME)
@@ -393,7 +414,9 @@ class LiveRecorder(FrameObserver):
     # The thread runs these.
 
     def _run(self) -> None:
-        """Take one in and write one out, so that what is kept never grows, and is written while nothing comes."""
+        """Take one in and write one out, so that what is kept never grows,
+        and is written while nothing comes.
+        """
         kept, recording, synced_s = self._kept, None, 0.0
         while True:
             writing = recording is not None and bool(kept)

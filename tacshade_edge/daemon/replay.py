@@ -1,4 +1,6 @@
-"""Replays a recording through the reconstructor and publisher, every frame in order, by the recording's clock."""
+"""Replays a recording through the reconstructor and publisher, every frame in order,
+by the recording's clock.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ Deliver = Callable[[RecordedFrame, Reconstruction], None]
 
 @dataclass(slots=True)
 class Progress:
-    """The progress of a replay; `seconds` are ours, with waits, undecodable images are not among the frames."""
+    """The progress of a replay; `seconds` are ours, with waits,
+    undecodable images are not among the frames.
+    """
 
     frames: int = 0
     contacts: int = 0
@@ -77,9 +81,10 @@ def replay(
     speed: float | None,
     undecodable: Callable[[str], None],
 ) -> None:
-    """Reconstruct every frame and deliver it to every sink, in order; `speed` None is as fast as possible.
-    `undecodable` receives a line about every unusable image. Raises ConfigError if the first image has another size
-    than the calibration.
+    """Reconstruct every frame and deliver it to every sink, in order; `speed` None is as fast as
+    possible. `undecodable` receives a line about every unusable image.
+
+    Raises ConfigError if the first image has another size than the calibration.
     """
     begin_ns = time.monotonic_ns()
     pause, tracker, timer = threading.Event(), ContactTracker(), StageTimer()
@@ -122,13 +127,15 @@ def replay(
 Changed = Callable[[dict[str, Any]], None]
 _MS: Final = 3  # decimals of a second
 REPORT_PERIOD_S: Final = 1.0
-"""How often the status is repeated while paused: a slow page loses what comes faster than it can take."""
+"""How often the status is repeated while paused:
+a slow page loses what comes faster than it can take.
+"""
 
 
 class Playback:
-    """Plays a recording for a person (``req/replay``): provides each frame when it is due; the end is a pause. One
-    thread calls `read`; any may call `command` and `status`. `changed` receives the status after every command, and at
-    the end.
+    """Plays a recording for a person (``req/replay``): provides each frame when it is due; the end
+    is a pause. One thread calls `read`; any may call `command` and `status`. `changed` receives the
+    status after every command, and at the end.
     """
 
     def __init__(self, reopen: Callable[[], Recording], speed: float, changed: Changed) -> None:
@@ -175,7 +182,10 @@ class Playback:
             }
 
     def read(self) -> RecordedFrame:
-        """Wait for the next frame to show. Raises DecodeError if its image cannot be used, and as `Recording` does."""
+        """Wait for the next frame to show.
+
+        Raises DecodeError if its image cannot be used, and as `Recording` does.
+        """
         ahead: RecordedFrame | None = None
         while True:
             wound = self._wound
@@ -211,7 +221,9 @@ class Playback:
         return (self._start[0] + (t_ns - self._start[1]) / self._speed - now_ns) / 1e9
 
     def _jump(self, ahead: RecordedFrame | None) -> RecordedFrame | None:
-        """The frame that was requested: at or after a time, or before the latest one shown, or the first."""
+        """The frame that was requested: at or after a time, or before the latest one shown,
+        or the first.
+        """
         with self._wake:
             self._start = None
             seek_ns, self._seek_ns = self._seek_ns, None
@@ -249,7 +261,9 @@ REPLAY = Reason(ReasonCode.REPLAY, "replay")
 
 
 class ReplayLink:
-    """Publishes what `run` would, under a separate sensor id; with `wait`, nothing is superseded."""
+    """Publishes what `run` would, under a separate sensor id;
+    with `wait`, nothing is superseded.
+    """
 
     def __init__(
         self, *, broker: BrokerAddress, sensor_id: str, reconstructor: Reconstructor, wait: bool
@@ -280,7 +294,10 @@ class ReplayLink:
         self._link.set_retained("status/replay", messages.encode_status(state, None, details))
 
     def start(self) -> None:
-        """Connect. Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away."""
+        """Connect.
+
+        Raises DeviceError: unlike the daemon, a replay does not wait for a broker that is away.
+        """
         info = messages.encode_info(
             version=installed_version(),
             config_digest="replay",

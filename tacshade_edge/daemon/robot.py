@@ -1,8 +1,9 @@
-"""The robot next to the sensor: the part of the daemon that exists only with ``serial`` in the settings.
+"""The robot next to the sensor: the part of the daemon that exists only with ``serial``
+in the settings.
 
-Several sensors' processes may share a robot's line: one has the port, answers commands, and forwards what it hears, so
-that all have the same clock and poses. Each follower has its own pair of datagram sockets; a pose that finds no room is
-lost to it.
+Several sensors' processes may share a robot's line: one has the port, answers commands, and
+forwards what it hears, so that all have the same clock and poses. Each follower has its own pair of
+datagram sockets; a pose that finds no room is lost to it.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ _decoder: Final = msgspec.msgpack.Decoder(PoseHeard | ClockExchanged | RobotRest
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedLine:
-    """A sensor's part in a shared line: the owner's `ends`, or the socket on which a follower `hears` the owner."""
+    """A sensor's part in a shared line: the owner's `ends`,
+    or the socket on which a follower `hears` the owner.
+    """
 
     owner: str
     ends: tuple[socket.socket, ...] = ()
@@ -65,7 +68,10 @@ class SharedLine:
 
 
 def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
-    """Each sensor's part in a port that several name; the first of them has the port. Other sensors are left out."""
+    """Each sensor's part in a port that several name; the first of them has the port.
+
+    Other sensors are left out.
+    """
     names: dict[str, list[str]] = {}
     for document in documents:
         if (serial := document.settings.serial) is not None:
@@ -84,7 +90,9 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
 
 
 class FollowingChannel:
-    """Replaces a `SerialChannel` if another sensor has the port, whose name is in the details of the port's state."""
+    """Replaces a `SerialChannel` if another sensor has the port,
+    whose name is in the details of the port's state.
+    """
 
     def __init__(self, owner: str, hears: socket.socket, motion: RobotMotion) -> None:
         self._owner = owner
@@ -171,7 +179,9 @@ class Robot(FrameObserver):
         self._thread.join(timeout_s)
 
     def poll(self) -> None:
-        """Publish ``status/serial`` if it has changed, and forward the line's state to those who share it."""
+        """Publish ``status/serial`` if it has changed,
+        and forward the line's state to those who share it.
+        """
         line, sync, now_ns = self._channel.line(), self.motion.state(), time.monotonic_ns()
         if self._shared and self._shared.ends:
             before = self._forwarded
@@ -196,7 +206,10 @@ class Robot(FrameObserver):
                 reason is None
                 and (latency_ms := int(port.details.get("latency_ms", 0))) > LATENCY_MAX_MS
             ):
-                text = f"the port's chip holds bytes back for {latency_ms} ms; tacshade-edge doctor explains the fix"
+                text = (
+                    f"the port's chip holds bytes back for {latency_ms} ms; tacshade-edge doctor "
+                    "explains the fix"
+                )
                 reason = Reason(ReasonCode.PORT_LATENCY, text)
         status = encode_status(state, reason, details)
         if status != self._published:
@@ -227,9 +240,9 @@ class Robot(FrameObserver):
             self._touch.observe(seen.reconstruction)
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
-        """Wait for the pose after the frame, and add the pose interpolated between it and the one before, if known. The
-        first answer counts: later poses and clock readings would place a press in a session and in the recording
-        differently.
+        """Wait for the pose after the frame, and add the pose interpolated between it and the one
+        before, if known. The first answer counts: later poses and clock readings would place a
+        press in a session and in the recording differently.
         """
         self._stopped.wait(max(0, frame.t_ns + POSE_WAIT_NS - time.monotonic_ns()) / 1e9)
         with self._first_answer:

@@ -1,4 +1,6 @@
-"""The robot's line: its clock and poses, its commands, and the serial thread, which carries their bytes."""
+"""The robot's line: its clock and poses, its commands, and the serial thread,
+which carries their bytes.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ class PoseHeard(msgspec.Struct, frozen=True, tag=1, array_like=True):
 
 
 class ClockExchanged(msgspec.Struct, frozen=True, tag=2, array_like=True):
-    """A ``SYNC`` and its reply: when the robot sent it, it arrived, the reply and the previous reply arrived."""
+    """A ``SYNC`` and its reply: when the robot sent it, it arrived,
+    the reply and the previous reply arrived.
+    """
 
     t1_ns: int
     t2_ns: int
@@ -67,8 +71,8 @@ Heard = PoseHeard | ClockExchanged | RobotRestarted
 
 
 class RobotMotion:
-    """Where the sensor was and when, from what was `Heard` of the robot; `forward` passes that on to other sensors. Any
-    thread may use it.
+    """Where the sensor was and when, from what was `Heard` of the robot; `forward` passes that on
+    to other sensors. Any thread may use it.
     """
 
     def __init__(self, forward: Callable[[Heard], None] = lambda heard: None) -> None:
@@ -95,7 +99,9 @@ class RobotMotion:
         self._forward(heard)
 
     def at(self, t_ns: int) -> tuple[Pose, int] | None:
-        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and its greatest time error in µs; None if unknown."""
+        """``base_T_flange`` at a time of CLOCK_MONOTONIC, and its greatest time error in µs;
+        None if unknown.
+        """
         with self._lock:
             robot = self._sync.to_robot(t_ns)
             sample = None if robot is None else self._poses.at(robot.t_ns)
@@ -129,7 +135,9 @@ _JITTER = 0.25  # of a period: a frame that is this much early counts as on time
 
 
 class TouchEvents:
-    """What ``TOUCH ON`` requested, and the newest touch: it replaces one that the port has not taken yet."""
+    """What ``TOUCH ON`` requested, and the newest touch:
+    it replaces one that the port has not taken yet.
+    """
 
     def __init__(self, baud: int, wake: Callable[[], None]) -> None:
         self._baud = baud
@@ -201,7 +209,9 @@ TOLD_MAX = 16
 
 @dataclass(slots=True, eq=False)
 class SerialCommands:
-    """Carries out each command once and answers it once; they arrive in the serial thread, any thread answers them."""
+    """Carries out each command once and answers it once;
+    they arrive in the serial thread, any thread answers them.
+    """
 
     motion: RobotMotion
     on_request: Callable[[Request, Reply], None]  # starts what the main thread does
@@ -321,7 +331,9 @@ class PortState:
 
 
 class LineState(msgspec.Struct, frozen=True, tag=4, array_like=True):
-    """A line's port, and since when it is quiet: since the latest byte, or since the port was opened."""
+    """A line's port, and since when it is quiet: since the latest byte,
+    or since the port was opened.
+    """
 
     port: PortState
     mode: Mode
@@ -330,7 +342,9 @@ class LineState(msgspec.Struct, frozen=True, tag=4, array_like=True):
 
 
 class SerialChannel:
-    """One robot's line: opens the port, reopens it when lost, and carries bytes between it and the link."""
+    """One robot's line: opens the port, reopens it when lost,
+    and carries bytes between it and the link.
+    """
 
     def __init__(self, port: SerialPort, motion: RobotMotion, commands: SerialCommands) -> None:
         self._port_state = PortState("away", Reason(ReasonCode.STARTING, "starting"))
@@ -436,7 +450,9 @@ class SerialChannel:
             _log.info("sync %s%s", sync.mode, f": {sync.reason}" if sync.reason else "")
 
     def _send_touch(self) -> None:
-        """Pass the newest touch to a port with less than a line to send, so that the port sends the newest."""
+        """Pass the newest touch to a port with less than a line to send,
+        so that the port sends the newest.
+        """
         if time.monotonic() < self._write_after_s or self._port.unsent() >= LINE_BYTES_MAX:
             return
         if (seen := self._commands.touch.take()) is not None:
@@ -449,7 +465,8 @@ class SerialChannel:
         if time.monotonic() < self._write_after_s:
             self._unsent_bytes += len(data)
         elif not self._port.write(data):
-            # Some of it may be sent; the robot's parser drops the cut line, and the robot repeats the command.
+            # Some of it may be sent; the robot's parser drops the cut line,
+            # and the robot repeats the command.
             self._unsent_bytes += len(data)
             self._write_after_s = time.monotonic() + NOT_READING_PAUSE_S
 

@@ -30,8 +30,8 @@ from tacshade_edge.types import F32, Calibration
 
 @dataclass(frozen=True, slots=True)
 class MapRevision:
-    """The map after a press, or the final one, whose files are in `folder`; `raster` makes it, at a cost that grows
-    with it.
+    """The map after a press, or the final one, whose files are in `folder`;
+    `raster` makes it, at a cost that grows with it.
     """
 
     name: str
@@ -49,14 +49,19 @@ POINTS_MAX = 20_000
 
 
 class MapPublisher:
-    """Publishes ``map/revision`` and ``map/cloud`` at most once a second as a map grows, then ``map/final``."""
+    """Publishes ``map/revision`` and ``map/cloud`` at most once a second as a map grows,
+    then ``map/final``.
+    """
 
     def __init__(self, publish: Callable[[str, bytes], None]) -> None:
         self._publish = publish
         self._next_s = 0.0
 
     def publish(self, revision: MapRevision) -> bool:
-        """Publish a revision; return True if it is deferred because one was just published. The final one never is."""
+        """Publish a revision; return True if it is deferred because one was just published.
+
+        The final one never is.
+        """
         now_s = time.monotonic()
         if not revision.folder and now_s < self._next_s:
             return True
@@ -91,7 +96,9 @@ class MapPublisher:
 
 
 def thinned_points(raster: Raster) -> tuple[F32, float]:
-    """Points (N, 3) of every k-th row and column, with the least k for `POINTS_MAX`, and their spacing in mm."""
+    """Points (N, 3) of every k-th row and column, with the least k for `POINTS_MAX`,
+    and their spacing in mm.
+    """
     stride = 1
     while np.count_nonzero(np.isfinite(raster.z_mm[::stride, ::stride])) > POINTS_MAX:
         stride += 1
@@ -111,7 +118,10 @@ class Session:
 
     @classmethod
     def begin(cls, folder: Path, name: str, calibration: Calibration, sensor_id: str) -> Session:
-        """Begin a session in a new folder, by default named by the time in UTC. Raises DeviceError."""
+        """Begin a session in a new folder, by default named by the time in UTC.
+
+        Raises DeviceError.
+        """
         name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         if not re.match(RECORD_NAME, name):
             raise DeviceError(
@@ -128,7 +138,10 @@ class Session:
 
     @classmethod
     def resume(cls, folder: Path, sensor_id: str) -> Session | None:
-        """Resume the sensor's session below `folder` that has not ended; None if none. Raises TacshadeError."""
+        """Resume the sensor's session below `folder` that has not ended; None if none.
+
+        Raises TacshadeError.
+        """
         with disk_errors(folder):
             path = open_session(folder, sensor_id)
         if path is None:
@@ -154,8 +167,12 @@ class Session:
         return SessionStatus(self.name, self.presses, self.points, tiles, self.revision, missed)
 
     def add(self, points: PressPoints, base_T_sensor: Rigid, frame_seq: int) -> PressAdded:
-        """Add a press; it is on the disk when this returns. Raises DeviceError (MAP_FULL if it has no room)."""
-        # Disk first, so that an acknowledged press is stored. After a crash here the map refuses it again on resuming.
+        """Add a press; it is on the disk when this returns.
+
+        Raises DeviceError (MAP_FULL if it has no room).
+        """
+        # Disk first, so that an acknowledged press is stored.
+        # After a crash here the map refuses it again on resuming.
         self.file.append(points, base_T_sensor)
         try:
             self._stitcher.add(points, base_T_sensor)
@@ -170,7 +187,10 @@ class Session:
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
     def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
-        """Make the final map and write its files, which takes seconds. Raises DeviceError: it is still open."""
+        """Make the final map and write its files, which takes seconds.
+
+        Raises DeviceError: it is still open.
+        """
         final = self._stitcher.finish()
         raster, crc32 = final.raster, self.file.info.calibration_crc32
         used = sum(press.rejected is None for press in final.presses)

@@ -1,7 +1,8 @@
-"""Stitching sessions (``req/stitch``, ``status/stitching``): the thread `stitch`, and what it gets from other threads.
+"""Stitching sessions (``req/stitch``, ``status/stitching``):
+the thread `stitch`, and what it gets from other threads.
 
-Everything that touches a session runs there: the map, the disk, the end, which takes seconds. The reconstruct thread
-only decides whether a frame is a press, and passes its points on.
+Everything that touches a session runs there: the map, the disk, the end, which takes seconds. The
+reconstruct thread only decides whether a frame is a press, and passes its points on.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ _NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """The sessions at one instant, as ``status/stitching`` shows them; `missed` contacts at rest were not added."""
+    """The sessions at one instant, as ``status/stitching`` shows them;
+    `missed` contacts at rest were not added.
+    """
 
     name: str = ""
     presses: int = 0
@@ -70,8 +73,9 @@ _Job = tuple[Callable[[], SessionResult], Reply]
 
 
 class Sessions(FrameObserver):
-    """One sensor's sessions, one at a time, each in its own folder below `folder`; present only if frames have poses. A
-    session that was open when the daemon died is resumed. Every contact that comes to rest while one is open is added.
+    """One sensor's sessions, one at a time, each in its own folder below `folder`; present only if
+    frames have poses. A session that was open when the daemon died is resumed. Every contact that
+    comes to rest while one is open is added.
     """
 
     health_key = "stitching"
@@ -88,7 +92,8 @@ class Sessions(FrameObserver):
         self._sensor_id = sensor_id
         self._folder_lock: FolderLock | None = None
         self._publish = publish
-        # Called after each press and at the end; True if it was deferred, and the map is published a moment later.
+        # Called after each press and at the end; True if it was deferred,
+        # and the map is published a moment later.
         self.publish_map: Callable[[MapRevision], bool] = MapPublisher(publish).publish
         self._robot = robot
         if robot:
@@ -114,7 +119,9 @@ class Sessions(FrameObserver):
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Add what waits; an open session, or one whose end takes longer, stays open on the disk."""
+        """Add what waits; an open session, or one whose end takes longer,
+        stays open on the disk.
+        """
         self._jobs.put("stop")
         self._thread.join(timeout_s)
         self.poll()
@@ -132,7 +139,9 @@ class Sessions(FrameObserver):
             return {**self._counts, "waiting": len(self._adds) + self._jobs.qsize()}
 
     def poll(self) -> None:
-        """Refuse commands that have waited too long; publish ``status/stitching`` when it has changed."""
+        """Refuse commands that have waited too long;
+        publish ``status/stitching`` when it has changed.
+        """
         self._adds.expire(time.monotonic_ns())
         with self._lock:
             session, reason = replace(self._state, missed=self._missed), self._missed_reason
@@ -156,7 +165,9 @@ class Sessions(FrameObserver):
         self.submit(request.action.upper(), request.name, reply)
 
     def submit(self, action: str, name: str, reply: Reply) -> None:
-        """Carry out ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``; the reply comes later, from any thread."""
+        """Carry out ``BEGIN``, ``ADD``, ``END``, ``ABORT`` or ``STATUS``;
+        the reply comes later, from any thread.
+        """
         if action == "ADD":
             reply = partial(self._count_refusal, reply)
         if action == "ADD" and self._state.name:

@@ -1,9 +1,9 @@
-"""Several sensors on one machine: one process for each, and for their hand, forked from this one, which restarts those
-that end.
+"""Several sensors on one machine: one process for each, and for their hand, forked from this one,
+which restarts those that end.
 
-Forked after everything is imported, the processes share the libraries' memory (docs/decisions/0010-several-sensors.md).
-This process has no thread. It is its sensors' service manager and speaks to the real one for all of them: each gets a
-``NOTIFY_SOCKET`` of ours.
+Forked after everything is imported, the processes share the libraries' memory
+(docs/decisions/0010-several-sensors.md). This process has no thread. It is its sensors' service
+manager and speaks to the real one for all of them: each gets a ``NOTIFY_SOCKET`` of ours.
 """
 
 from __future__ import annotations
@@ -34,11 +34,15 @@ RESTART_S, RESTART_MAX_S = 1.0, 60.0
 STEADY_S = 30.0
 """A part that ends before it is this old waits twice as long as the last time."""
 WATCHDOG_S, ABORT_S = 10.0, 5.0
-"""Silence after which a process is aborted to report where it hangs, and time for that before it is killed."""
+"""Silence after which a process is aborted to report where it hangs,
+and time for that before it is killed.
+"""
 TICK_S = 1.0
 EXIT_CONFIG = 78
 EXIT_STOPPED = 128 + signal.SIGTERM
-"""Exit code of a part that a signal stopped; 0 is the end of a finite source, which is not restarted."""
+"""Exit code of a part that a signal stopped; 0 is the end of a finite source,
+which is not restarted.
+"""
 _PR_SET_PDEATHSIG = 1
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD)
 
@@ -65,7 +69,9 @@ class _Part:
 
 
 class Supervisor:
-    """Keeps a process running for each sensor and for their hand; `ended` receives the id of each that ends."""
+    """Keeps a process running for each sensor and for their hand;
+    `ended` receives the id of each that ends.
+    """
 
     def __init__(
         self,
@@ -86,9 +92,9 @@ class Supervisor:
         self._stopping_s: float | None = None
 
     def run(self, work: Callable[[Document | Hand], int]) -> int:
-        """Run the processes until a signal ends all, or no sensor is left to restart; return the exit code: in a
-        process that it starts that of `work`, which is called there; in this one 78 if no sensor's settings can work,
-        else 0.
+        """Run the processes until a signal ends all, or no sensor is left to restart; return the
+        exit code: in a process that it starts that of `work`, which is called there; in this one 78
+        if no sensor's settings can work, else 0.
         """
         reader, writer = socket.socketpair()
         reader.setblocking(False)
@@ -114,7 +120,9 @@ class Supervisor:
         return self._code() if mine is None else work(mine)
 
     def _supervise(self, signals: socket.socket) -> Document | Hand | None:
-        """Supervise until all is over (None); in a process that it starts, return what that process is to do."""
+        """Supervise until all is over (None); in a process that it starts,
+        return what that process is to do.
+        """
         next_tick_s = 0.0
         while True:
             now_s = time.monotonic()
@@ -158,7 +166,8 @@ class Supervisor:
                 return True
             if part.pid:
                 return True
-            # Its own group: if this process is killed, the kernel wakes a stopped group that it leaves behind.
+            # Its own group: if this process is killed,
+            # the kernel wakes a stopped group that it leaves behind.
             os.setpgid(0, 0)
             os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
             self._closing.close()
@@ -268,7 +277,9 @@ class Supervisor:
         _log.error("%s: %s", part.name, part.status)
 
     def _report(self) -> None:
-        """Send status and watchdog messages for all, and readiness once each part has come up or ended."""
+        """Send status and watchdog messages for all,
+        and readiness once each part has come up or ended.
+        """
         if not self._reported_ready and all(part.ready for part in self._parts):
             self._reported_ready = True
             notify("READY=1")

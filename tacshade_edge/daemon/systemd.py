@@ -1,4 +1,6 @@
-"""Messages to the service manager (sd_notify(3), docs/how-to/service.md); without one, nothing happens here."""
+"""Messages to the service manager (sd_notify(3), docs/how-to/service.md);
+without one, nothing happens here.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class Service:
         self._note: Reason | None = None
 
     def tick(self, source: SourceState, fps: float) -> None:
-        """Report the published state and the rate of delivered frames; feed the watchdog if there was progress."""
+        """Report the published state and the rate of delivered frames;
+        feed the watchdog if there was progress.
+        """
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""
         notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
@@ -44,10 +48,11 @@ class Service:
         notify("READY=1", f"STATUS={note or 'reloaded'}")
 
     def _progressed(self, degraded: bool) -> bool:
-        """Whether, since the last call, stages of frames have ended; if `degraded`, also attempts to get frames.
-        Attempts do not count while a frame hangs.
+        """Whether, since the last call, stages of frames have ended; if `degraded`, also attempts
+        to get frames. Attempts do not count while a frame hangs.
         """
-        # Read before `taken`, so that a frame that comes in between cannot look like a finished one.
+        # Read before `taken`, so that a frame that comes
+        # in between cannot look like a finished one.
         processed, stages, attempts = (
             self._reconstruct.processed,
             self._reconstruct.stages,
@@ -67,12 +72,16 @@ def notify_reloading() -> None:
 
 
 def notify_stopping() -> None:
-    """Report that a stop begins; from now on the manager's time limit counts, not the watchdog's."""
+    """Report that a stop begins; from now on the manager's time limit counts,
+    not the watchdog's.
+    """
     notify("STOPPING=1", f"EXTEND_TIMEOUT_USEC={STOP_USEC}", "STATUS=stopping")
 
 
 def notify(*lines: str) -> None:
-    """Send lines of ``NAME=value`` to the service manager, if there is one: by python3-systemd if that is installed."""
+    """Send lines of ``NAME=value`` to the service manager, if there is one:
+    by python3-systemd if that is installed.
+    """
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return

@@ -1,1 +1,3 @@
-"""The dashboard: a small server, apart from the daemon, for one static page that interprets the messages."""
+"""The dashboard: a small server, apart from the daemon,
+for one static page that interprets the messages.
+"""

@@ -1,4 +1,6 @@
-"""Who may see the page, with its token if it is open to a network, and which pages may open the WebSocket."""
+"""Who may see the page, with its token if it is open to a network,
+and which pages may open the WebSocket.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,10 @@ from urllib.parse import urlsplit
 
 WRONG_MAX: Final = 10
 PERIOD_S: Final = 60.0
-"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens unchecked, except
-the cookies of browsers that have already shown theirs: others at that address cannot lock them out."""
+"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens
+unchecked, except the cookies of browsers that have already shown theirs: others at that address
+cannot lock them out.
+"""
 
 _ADDRESSES_MAX: Final = 256
 _BROWSERS_MAX: Final = 256
@@ -26,17 +30,24 @@ _COOKIE_S: Final = 30 * 24 * 3600
 def refusal(origin: str | None, host: str | None, allowed_origins: Collection[str]) -> str:
     """Return why a WebSocket request is rejected; empty when it may proceed.
 
-    Any web site open in the user's browser can try to connect; the browser states the site's address as `origin` (None:
-    another program). It must be the `host` that the browser connected to, or one of `allowed_origins`, a proxy's. As a
-    site can point its own name at our address (DNS rebinding), a host's name must be one that nobody else can own.
+    Any web site open in the user's browser can try to connect; the browser states the site's
+    address as `origin` (None: another program). It must be the `host` that the browser connected
+    to, or one of `allowed_origins`, a proxy's. As a site can point its own name at our address (DNS
+    rebinding), a host's name must be one that nobody else can own.
     """
     if origin is None or origin.lower() in allowed_origins:
         return ""
     if host is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-        return f"found a page from {origin[:80]}, expected one from here; behind a proxy, pass --origin {origin[:80]}"
+        return (
+            f"found a page from {origin[:80]}, expected one from here; behind a proxy, pass "
+            f"--origin {origin[:80]}"
+        )
     name = urlsplit(f"//{host}").hostname or ""
     if not _is_own(name):
-        return f"found the host {name[:80]}, expected this machine; if it is this one, pass --origin {origin[:80]}"
+        return (
+            f"found the host {name[:80]}, expected this machine; if it is this one, pass --origin "
+            f"{origin[:80]}"
+        )
     return ""
 
 
@@ -58,13 +69,17 @@ class _Tries:
 
 
 def offered(authorization: str | None) -> str | None:
-    """Return the token of the header ``Authorization: Bearer``; None without one, as with a proxy's own login."""
+    """Return the token of the header ``Authorization: Bearer``;
+    None without one, as with a proxy's own login.
+    """
     scheme, _, token = (authorization or "").partition(" ")
     return token if scheme.lower() == "bearer" else None
 
 
 class Login:
-    """A check of tokens that counts the wrong ones of each address; a `secure` cookie is sent only over TLS."""
+    """A check of tokens that counts the wrong ones of each address;
+    a `secure` cookie is sent only over TLS.
+    """
 
     def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
         self._token = token.encode()
@@ -78,7 +93,10 @@ class Login:
         """Return the header ``Set-Cookie`` for a browser that has logged in."""
         browser = secrets.token_urlsafe(_BROWSER_BYTES)
         value = f"{browser}.{self._signed(browser)}"
-        return f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{self._flags}"
+        return (
+            f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; "
+            f"SameSite=Strict{self._flags}"
+        )
 
     def _signed(self, browser: str) -> str:
         return hmac.digest(self._token, browser.encode(errors="surrogateescape"), "sha256").hex()
@@ -91,9 +109,11 @@ class Login:
     def refusal(
         self, token: str | None, kept: str | None, address: str, now_s: float
     ) -> HTTPStatus | None:
-        """Return the status that rejects a request with a token or else a cookie; None when it may proceed.
+        """Return the status that rejects a request with a token or else a cookie;
+        None when it may proceed.
 
-        Repeating a wrong token is no new try: a page that was open when the token changed retries every second.
+        Repeating a wrong token is no new try: a page that was open
+        when the token changed retries every second.
         """
         tries = self._tries.get(address)
         if tries is not None and now_s - tries.since_s > PERIOD_S:

@@ -1,6 +1,8 @@
-"""MQTT over WebSocket to the broker's TCP port, byte by byte; only read-only pages' bytes are inspected.
+"""MQTT over WebSocket to the broker's TCP port, byte by byte;
+only read-only pages' bytes are inspected.
 
-mosquitto has a WebSocket listener, but Debian 12's stalls on messages above about 4 KB, and a height map has 10 to 600.
+mosquitto has a WebSocket listener, but Debian 12's stalls on messages above about 4 KB, and a
+height map has 10 to 600.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _log = logging.getLogger(__name__)
 
 PACKET_BYTES_MAX: Final = 1 << 16
 CLIENT_ID: Final = b"page-"
-"""Prefix of a page's client identifier unless that is empty: another client's identifier would end its connection."""
+"""Prefix of a page's client identifier unless that is empty:
+another client's identifier would end its connection.
+"""
 
 _CONNECT: Final = 1
 # PUBACK, PUBREC, PUBREL, PUBCOMP, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, DISCONNECT
@@ -33,13 +37,18 @@ _WILL: Final = 0x04
 
 
 class ReadOnly:
-    """A filter that passes whole packets of one page, which may log in, subscribe and acknowledge, but not publish."""
+    """A filter that passes whole packets of one page, which may log in, subscribe and acknowledge,
+    but not publish.
+    """
 
     def __init__(self) -> None:
         self._rest = b""
 
     def passed(self, data: bytes) -> bytes:
-        """Return the packets that are complete. Raises DecodeError if one would do more than read; then send none."""
+        """Return the packets that are complete.
+
+        Raises DecodeError if one would do more than read; then send none.
+        """
         data = self._rest + data
         end = 0
         while (found := _body(data, end)) is not None:
@@ -51,7 +60,10 @@ class ReadOnly:
 
 
 def _body(data: bytes, start: int) -> tuple[int, int] | None:
-    """Return where the body of the packet at `start` begins and ends; None while incomplete. Raises DecodeError."""
+    """Return where the body of the packet at `start` begins and ends; None while incomplete.
+
+    Raises DecodeError.
+    """
     size = 0
     for place, byte in enumerate(data[start + 1 : start + 5]):
         size |= (byte & 0x7F) << 7 * place
@@ -88,7 +100,8 @@ def _check(kind: int, body: bytes) -> None:
     client_id = rest[2 : 2 + int.from_bytes(rest[:2])]
     if client_id and not client_id.startswith(CLIENT_ID):
         raise DecodeError(
-            f"read-only: found another client identifier, expected one that starts with {CLIENT_ID.decode()}"
+            "read-only: found another client identifier, expected one that starts with "
+            f"{CLIENT_ID.decode()}"
         )
 
 
@@ -128,7 +141,9 @@ class Bridge:
         self._away = False
 
     async def carry(self, page: ServerConnection) -> None:
-        """Connect one page to the broker until either side ends; the closing frame gives the page the reason."""
+        """Connect one page to the broker until either side ends;
+        the closing frame gives the page the reason.
+        """
         try:
             reader, writer = await self._connect()
         except (OSError, TimeoutError) as error:
@@ -181,7 +196,9 @@ async def _to_broker(
 
 
 async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None:
-    """Forward until the broker ends; close a stalled page, since the broker queues messages as long as it is there."""
+    """Forward until the broker ends; close a stalled page,
+    since the broker queues messages as long as it is there.
+    """
     while chunk := await reader.read(_CHUNK_BYTES):
         try:
             async with asyncio.timeout(STALL_S):
@@ -213,7 +230,8 @@ def _reason(error: OSError | TimeoutError) -> str:
         return "it does not speak TLS"
     if isinstance(error, TimeoutError):
         return f"no answer within {_CONNECT_S:.0f} s"
-    # asyncio's own text repeats the addresses, and has no errno if there were several, as with localhost.
+    # asyncio's own text repeats the addresses, and has no errno if there were several,
+    # as with localhost.
     if f"[Errno {errno.ECONNREFUSED}]" in str(error):
         return "connection refused"
     return str(error.strerror or error)

@@ -1,4 +1,6 @@
-"""A page's commands on the recordings in one folder; names come from the page, so they are untrusted."""
+"""A page's commands on the recordings in one folder;
+names come from the page, so they are untrusted.
+"""
 
 from __future__ import annotations
 
@@ -39,21 +41,26 @@ _LOOKED_AT_MAX: Final = 2000
 _ABOUT: Final = "recording.json"
 _SIGNS: Final = (_ABOUT, "frames.csv", "frames.csv.part", "000.mcap", "000.mcap.part")
 _LOCKED: Final = ("events.jsonl.part", "events.jsonl")
-"""The recorder holds a lock on its events until the recording is whole, however long no frame comes."""
+"""The recorder holds a lock on its events until the recording is whole,
+however long no frame comes.
+"""
 _ABOUT_BYTES_MAX: Final = 1 << 20
 _CHUNK_BYTES: Final = 1 << 18
 _NAME: Final = re.compile(RECORD_NAME)
 
 
 Listed = dict[str, Any]
-"""One recording in the list: `name` for `find`, ``NAME``, or ``SENSOR/NAME`` with several sensors; `frames` and
-`size_bytes`, None until its writer has finished it; `began_ns`, the Unix time of its first frame, or else of its last
-change; `is_growing`.
+"""One recording in the list: `name` for `find`, ``NAME``, or ``SENSOR/NAME`` with several sensors;
+`frames` and `size_bytes`, None until its writer has finished it; `began_ns`, the Unix time of its
+first frame, or else of its last change; `is_growing`.
 """
 
 
 def listed(folder: Path) -> list[Listed]:
-    """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`. Raises DeviceError."""
+    """List the recordings in a folder and its subfolders, newest first, at most `LISTED_MAX`.
+
+    Raises DeviceError.
+    """
     names = []
     for name in _names(folder):
         inside = (
@@ -68,7 +75,10 @@ def listed(folder: Path) -> list[Listed]:
 
 
 def find(folder: Path, name: object) -> Path:
-    """Return the path of a whole recording in the folder. Raises DeviceError for any other name and for links."""
+    """Return the path of a whole recording in the folder.
+
+    Raises DeviceError for any other name and for links.
+    """
     parts = name.split("/") if isinstance(name, str) else []
     if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
         raise DeviceError(
@@ -100,7 +110,10 @@ def _errors(what: str) -> Iterator[None]:
 
 
 def delete(path: Path) -> None:
-    """Delete a recording that `find` returned. Raises DeviceError; some files may already be deleted."""
+    """Delete a recording that `find` returned.
+
+    Raises DeviceError; some files may already be deleted.
+    """
     with _errors(f"{path.name} cannot be deleted"):
         shutil.rmtree(path)
 
@@ -112,10 +125,15 @@ def tar_bytes(path: Path) -> int:
 
 
 def tar(path: Path, write: Callable[[bytes], object]) -> None:
-    """Write a recording's regular files as a tar, in pieces. Raises DeviceError if a file is unreadable."""
+    """Write a recording's regular files as a tar, in pieces.
+
+    Raises DeviceError if a file is unreadable.
+    """
     sink = SimpleNamespace(write=write)
     # Closed only when whole: its end would make a part of it look complete.
-    archive = tarfile.open(fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT)  # noqa: SIM115
+    archive = tarfile.open(  # noqa: SIM115
+        fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT
+    )
     try:
         for name, about in _files(path):
             info = tarfile.TarInfo(f"{path.name}/{name}")
@@ -198,11 +216,13 @@ def _count(value: object) -> int | None:
     return value if isinstance(value, int) and 0 <= value < 1 << 63 else None
 
 
-# -- the commands ------------------------------------------------------------------------------------------------------
+# -- the commands ----------------------------------------------------------------------------------
 
 
 class RecordingCommands:
-    """The commands of pages on one folder, which may be missing; one recording plays at a time, to `broker`."""
+    """The commands of pages on one folder, which may be missing;
+    one recording plays at a time, to `broker`.
+    """
 
     def __init__(self, folder: Path | None, broker: Broker, *, read_only: bool) -> None:
         self._folder = folder
@@ -262,7 +282,8 @@ class RecordingCommands:
         """Play a recording for as long as the page keeps this connection open."""
         if self._broker.tls is not None:
             raise DeviceError(
-                "the broker uses TLS; play the recording with `tacshade-edge replay --play --config FILE`"
+                "the broker uses TLS; play the recording with `tacshade-edge replay --play "
+                "--config FILE`"
             )
         try:
             async with asyncio.timeout(_END_S + 1.0):  # the previous one may still be ending

@@ -1,4 +1,6 @@
-"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket; all of it is bounded."""
+"""One port: the page's files over HTTP, ``/mqtt`` and ``/recordings`` over WebSocket;
+all of it is bounded.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,13 @@ from tacshade_edge.quoting import escaped
 _log = logging.getLogger(__name__)
 
 CONNECTIONS_MAX: Final = 48
-"""Pages, file requests and connections that have sent nothing yet; the server closes any further one at once."""
+"""Pages, file requests and connections that have sent nothing yet;
+the server closes any further one at once.
+"""
 PAGES_MAX: Final = 16
-"""WebSockets; each also opens a connection to the broker, which queues up to 20 messages if the page does not read."""
+"""WebSockets; each also opens a connection to the broker,
+which queues up to 20 messages if the page does not read.
+"""
 UNSENT_BYTES_MAX: Final = 1 << 20
 """Answers (pongs) in bytes that a peer may leave unread; our own messages wait long before that."""
 _WEBSOCKETS: Final = ("/mqtt", "/recordings")
@@ -44,8 +50,12 @@ _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # served without a token
 _REFUSED: Final = {
-    HTTPStatus.UNAUTHORIZED: "expected the token that this server printed at its start or that its token file holds",
-    HTTPStatus.TOO_MANY_REQUESTS: f"too many wrong tokens from your address: wait {access.PERIOD_S:.0f} s",
+    HTTPStatus.UNAUTHORIZED: (
+        "expected the token that this server printed at its start or that its token file holds"
+    ),
+    HTTPStatus.TOO_MANY_REQUESTS: (
+        f"too many wrong tokens from your address: wait {access.PERIOD_S:.0f} s"
+    ),
 }
 _SPEAK_S: Final = 5  # limit for a request, and for the TLS handshake
 _FRAMES_WAITING_MAX: Final = 4
@@ -67,7 +77,9 @@ class Bounds:
         )
 
     def admit_page(self, connection: ServerConnection) -> str:
-        """Count a connection as a page; return why it is rejected when too many are open, else an empty text."""
+        """Count a connection as a page; return why it is rejected when too many are open,
+        else an empty text.
+        """
         if len(self._pages) >= PAGES_MAX:
             return self._turn_away(f"{PAGES_MAX} pages")
         self._pages.add(connection)
@@ -80,7 +92,9 @@ class Bounds:
         return why
 
     def connection(self) -> type[ServerConnection]:
-        """Return the class of connections that are counted, and closed if their client reads nothing."""
+        """Return the class of connections that are counted,
+        and closed if their client reads nothing.
+        """
         pages = self._pages
 
         class Connection(ServerConnection):
@@ -98,7 +112,9 @@ class Bounds:
 
 
 def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Handle a loop's exception: no traceback for what the system refuses, such as one more open file."""
+    """Handle a loop's exception: no traceback for what the system refuses,
+    such as one more open file.
+    """
     if isinstance(error := context.get("exception"), OSError):
         _log.warning(
             "%s: %s",
@@ -110,7 +126,10 @@ def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any
 
 
 class Pages:
-    """The answers to HTTP requests; permitted WebSocket requests pass. Without `tokens`, everybody sees the page."""
+    """The answers to HTTP requests; permitted WebSocket requests pass.
+
+    Without `tokens`, everybody sees the page.
+    """
 
     def __init__(
         self,
@@ -167,7 +186,9 @@ class Pages:
     def _log_in(
         self, tokens: Login, page: ServerConnection, path: str, headers: Headers
     ) -> Response | None:
-        """Return the response to a request without the token or to a login; None if the request may proceed."""
+        """Return the response to a request without the token or to a login;
+        None if the request may proceed.
+        """
         offered, kept = (
             access.offered(headers.get("Authorization")),
             tokens.kept(headers.get("Cookie")),
@@ -234,7 +255,8 @@ async def run(
 
     `listening(host, port)` is called once when the port is open; port 0 selects a free one.
     """
-    # A port scanner or a browser that gives up is not worth a log entry; each would cause a traceback.
+    # A port scanner or a browser that gives up is not worth a log entry;
+    # each would cause a traceback.
     quiet = logging.getLogger("websockets.server")
     quiet.setLevel(logging.CRITICAL)
     asyncio.get_running_loop().set_exception_handler(report_device_errors)
@@ -246,7 +268,8 @@ async def run(
             if token
             else None
         )
-        # Compression would cost the board more than it saves: docs/how-to/dashboard.md has the figures.
+        # Compression would cost the board more than it saves:
+        # docs/how-to/dashboard.md has the figures.
         bridge = Bridge(broker, read_only=read_only)
         commands = RecordingCommands(recordings, broker, read_only=read_only)
         files = load(read_only=read_only, recordings=recordings is not None)
@@ -290,7 +313,8 @@ async def run(
         await asyncio.wait_for(server.wait_closed(), _STOP_S)
 
 
-# Python's own table of types depends on the machine, and browsers do not execute a module of a wrong type.
+# Python's own table of types depends on the machine,
+# and browsers do not execute a module of a wrong type.
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -312,7 +336,9 @@ class File:
 
 
 def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
-    """Load every file of the page by its URL path; the page is marked if it may send no requests or has recordings."""
+    """Load every file of the page by its URL path;
+    the page is marked if it may send no requests or has recordings.
+    """
     paths = [path for path in sorted(STATIC.rglob("*")) if path.suffix in _TYPES]
     found = {
         f"/{path.relative_to(STATIC)}": _file(path.read_bytes(), _TYPES[path.suffix])
@@ -327,9 +353,11 @@ def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File
 
 
 def security_headers(files: Mapping[str, File]) -> dict[str, str]:
-    """Return the headers of every answer: the page may only load its own files and connect to its own server.
+    """Return the headers of every answer: the page may only load its own files and connect
+    to its own server.
 
-    The one inline script, the import map, is allowed by its hash; ``blob:`` allows the picture and mqtt.js's worker.
+    The one inline script, the import map, is allowed by its hash;
+    ``blob:`` allows the picture and mqtt.js's worker.
     """
     inline = re.findall(
         rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL
@@ -338,15 +366,17 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
         f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline
     )
     policy = (
-        f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
-        "worker-src blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; "
+        "connect-src 'self'; worker-src blob:; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
     )
     return {
         "Content-Security-Policy": policy,
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",
         "Cross-Origin-Resource-Policy": "same-origin",
-        # The browser revalidates every time, mostly with 304: after an upgrade no page mixes old and new files.
+        # The browser revalidates every time, mostly with 304:
+        # after an upgrade no page mixes old and new files.
         "Cache-Control": "no-cache",
     }
 

@@ -1,1 +1,3 @@
-"""The parts that `demo` starts: a broker, processes, a simulated sensor that presses a touchpad, and a hand."""
+"""The parts that `demo` starts: a broker, processes, a simulated sensor that presses a touchpad,
+and a hand.
+"""

@@ -32,7 +32,8 @@ def free_port() -> int:
 
 
 class Child:
-    """A process with a log file in `folder`, in its own session: Ctrl-C reaches only the demo, which stops it.
+    """A process with a log file in `folder`, in its own session:
+    Ctrl-C reaches only the demo, which stops it.
 
     On Linux, the kernel sends it SIGTERM if the demo dies in any other way.
     """
@@ -60,7 +61,8 @@ class Child:
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
             raise DeviceError(
-                f"demo: the {self.name} exited with status {code}: {lines[-1] if lines else 'no output'}"
+                f"demo: the {self.name} exited with status {code}: "
+                f"{lines[-1] if lines else 'no output'}"
             )
 
     def stop(self) -> None:
@@ -74,7 +76,10 @@ class Child:
 
 
 def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.0.1") -> None:
-    """Wait until a process accepts connections on this port. Raises DeviceError if it ends, or after `timeout_s`."""
+    """Wait until a process accepts connections on this port.
+
+    Raises DeviceError if it ends, or after `timeout_s`.
+    """
     deadline_s = time.monotonic() + timeout_s
     while True:
         child.check()
@@ -93,7 +98,8 @@ def _die_with_parent() -> None:
 
 _SBIN = "/usr/sbin"  # Debian's mosquitto, which is not on every user's PATH
 
-# The broker keeps two segments of messages for each topic: enough for the newest full-size maps, not for a history.
+# The broker keeps two segments of messages for each topic:
+# enough for the newest full-size maps, not for a history.
 _EMBEDDED = """\
 id = 0
 [router]
@@ -121,7 +127,10 @@ set_tcp_nodelay true
 
 
 def broker_command(folder: Path, port: int) -> list[str]:
-    """Write a broker's settings and return the command that serves MQTT 5 on this loopback port. Raises DeviceError."""
+    """Write a broker's settings and return the command that serves MQTT 5 on this loopback port.
+
+    Raises DeviceError.
+    """
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
     text = (_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port)

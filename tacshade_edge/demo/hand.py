@@ -1,4 +1,6 @@
-"""The demo's hand: five fingers hold a bottle that is pushed, turned, and pulled until one finger slips."""
+"""The demo's hand: five fingers hold a bottle that is pushed, turned,
+and pulled until one finger slips.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ BOTTLE: Final = lathed("bottle", ((-80.0, 28.0), (16.0, 28.0), (42.0, 12.0), (96
 
 @dataclass(frozen=True, slots=True)
 class _Hold:
-    """Where a finger holds the bottle at rest: the point that its tip touches, in the hand's frame at y = 0."""
+    """Where a finger holds the bottle at rest: the point that its tip touches,
+    in the hand's frame at y = 0.
+    """
 
     x_mm: float
     z_mm: float
@@ -83,7 +87,9 @@ def place_of(name: str) -> Rigid:
 
 
 def script() -> HandScript:
-    """One round: the bottle is grasped, pushed, turned, brought back, pulled until a finger slips, and released."""
+    """One round: the bottle is grasped, pushed, turned, brought back, pulled until a finger slips,
+    and released.
+    """
     rests = shift(0.0, 0.0, 0.0)
     pushed = shift(0.0, 0.6, -0.25)
     turned = shift(0.0, 0.6, 0.0) @ turn((np.radians(2.5), np.radians(0.5), 0.0))
@@ -107,7 +113,9 @@ _STEPS: Final = round(script().times_s[-1] / STEP_S)
 
 
 def write(folder: Path, port: int) -> Path:
-    """Draw what the untouched fingers see into the demo's folder, and return the path of the hand's settings."""
+    """Draw what the untouched fingers see into the demo's folder,
+    and return the path of the hand's settings.
+    """
     text = _SETTINGS.format(hand_id=HAND_ID, port=port)
     sensor = SimulatedSensor(_MODEL)
     for name in FINGERS:
@@ -122,7 +130,9 @@ def write(folder: Path, port: int) -> Path:
 
 
 def play(folder: Path) -> Generator[None, None, None]:
-    """Show the grasp, draw the round on all cores (half a minute of one), then play it; call `next` once per step."""
+    """Show the grasp, draw the round on all cores (half a minute of one), then play it;
+    call `next` once per step.
+    """
     shown, drawn = dict[str, Path](), list[list[Path]]()
     with workers() as pool:
         for times_s in ((0.0, _GRASPED_S), [k * STEP_S for k in range(_STEPS)]):
@@ -148,7 +158,9 @@ def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[
 
 
 def _draw(task: tuple[Path, str, Sequence[float]]) -> list[Path]:
-    """Draw what one finger sees at some times and return a path for each; those of the same skin share one."""
+    """Draw what one finger sees at some times and return a path for each;
+    those of the same skin share one.
+    """
     folder, name = task[0] / task[1], task[1]
     sensor = SimulatedSensor(_MODEL)
     fingers = [Finger(each, place_of(each), sensor) for each in FINGERS]

@@ -1,4 +1,6 @@
-"""The demo's other sensor: a robot repeatedly presses it all over a small pad, and the daemon stitches the presses."""
+"""The demo's other sensor: a robot repeatedly presses it all over a small pad,
+and the daemon stitches the presses.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ mqtt: {{host: 127.0.0.1, port: {port}}}
 
 
 def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[None, None, None]:
-    """Draw the presses, start a daemon that reads them, and have it stitch; each `next` does a little more."""
+    """Draw the presses, start a daemon that reads them, and have it stitch;
+    each `next` does a little more.
+    """
     yield from _presses(folder / "pad")
     settings = folder / f"{SENSOR_ID}.yaml"
     settings.write_text(_SETTINGS.format(sensor_id=SENSOR_ID, fps=FPS, port=port), encoding="utf-8")
@@ -78,7 +82,9 @@ def _poses() -> list[Rigid]:
 
 
 def _presses(folder: Path) -> Iterator[None]:
-    """Write the frames of one pass over the pad and their frame table; yield after every few presses."""
+    """Write the frames of one pass over the pad and their frame table;
+    yield after every few presses.
+    """
     sensor = SimulatedSensor(_MODEL)
     folder.mkdir()
     cv2.imwrite(str(folder / "free.png"), sensor.frame().image)

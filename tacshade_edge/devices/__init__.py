@@ -1,1 +1,4 @@
-"""Access to the outside world: cameras, serial ports, the broker. No policy, no threads except paho's."""
+"""Access to the outside world: cameras, serial ports, the broker.
+
+No policy, no threads except paho's.
+"""

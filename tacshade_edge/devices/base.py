@@ -13,28 +13,42 @@ from tacshade_edge.types import Frame
 class FrameSource(Protocol):
     """A source of frames. It blocks in `read`; the daemon's grab thread keeps the newest frame.
 
-    Life cycle: ``open`` → ``read`` or ``skip`` … → ``close``. After any of them raises `DeviceError`, the caller
-    calls ``close`` and may ``open`` again (a source keeps counting `Frame.seq` when it is reopened).
+    Life cycle: ``open`` → ``read`` or ``skip`` … → ``close``. After any of them raises
+    `DeviceError`, the caller calls ``close`` and may ``open`` again (a source keeps counting
+    `Frame.seq` when it is reopened).
     """
 
     @property
     def dropped(self) -> int:
-        """Number of frames known or inferred to be lost before this process saw them, since the first open."""
+        """Number of frames known or inferred to be lost before this process saw them,
+        since the first open.
+        """
 
     def open(self) -> None:
-        """Prepare to read. Raises DeviceError (absent, busy, not a camera) or ConfigError (can never work)."""
+        """Prepare to read.
+
+        Raises DeviceError (absent, busy, not a camera) or ConfigError (can never work).
+        """
 
     def read(self) -> Frame | None:
-        """Return the next frame; None when a finite source has ended. Raises DeviceError when the device is lost."""
+        """Return the next frame; None when a finite source has ended.
+
+        Raises DeviceError when the device is lost.
+        """
 
     def skip(self) -> bool:
-        """Discard the next frame; return False when a finite source has ended. Waits and raises as `read` does."""
+        """Discard the next frame; return False when a finite source has ended.
+
+        Waits and raises as `read` does.
+        """
 
     def close(self) -> None:
         """Release everything; safe to call twice."""
 
     def describe(self) -> dict[str, str | int | float]:
-        """Return the negotiated settings (format, size, rate, time stamp source), for ``status/camera``."""
+        """Return the negotiated settings (format, size, rate, time stamp source),
+        for ``status/camera``.
+        """
 
 
 _WINDOW = 64  # number of intervals that give the period: about two seconds at 30 fps
@@ -42,16 +56,18 @@ _ROUNDS = 2
 _REGULAR = (
     0.2  # relative: an interval this near the period is one period, however the estimate changes
 )
-_FIRST = 24  # intervals before the period is trusted: about a second; then all of them are judged together
+# Intervals before the period is trusted: about a second; then all of them are judged together.
+_FIRST = 24
 
 
 class FrameGaps:
     """A counter of the frames missing between consecutive time stamps, given the measured period.
 
-    Cameras run at another rate than the stated one. The period is the sum of the last 64 intervals over the number of
-    periods in them, starting from their lower quartile; 0 before the first. It holds while less than a third of the
-    frames are lost and the stamps are off by less than 15 % of the period. A camera that halves its rate looks like one
-    that loses every second frame until the window has been replaced.
+    Cameras run at another rate than the stated one. The period is the sum of the last 64 intervals
+    over the number of periods in them, starting from their lower quartile; 0 before the first. It
+    holds while less than a third of the frames are lost and the stamps are off by less than 15 % of
+    the period. A camera that halves its rate looks like one that loses every second frame until the
+    window has been replaced.
     """
 
     def __init__(self) -> None:
@@ -62,7 +78,8 @@ class FrameGaps:
         self.period_ns = 0.0
 
     def add(self, t_ns: int) -> int:
-        """Add the next frame's time stamp (ns, any origin); return how many lost frames it revealed.
+        """Add the next frame's time stamp (ns, any origin);
+        return how many lost frames it revealed.
 
         A time stamp that does not advance is ignored.
         """
@@ -97,8 +114,9 @@ def _period_ns(ordered_ns: list[int]) -> float:
 
 
 class Camera(ABC):
-    """A `FrameSource` on a camera, whose `open` leaves the first frame in `_pending`. All methods belong to one thread,
-    except `dropped` and `describe`.
+    """A `FrameSource` on a camera, whose `open` leaves the first frame in `_pending`.
+
+    All methods belong to one thread, except `dropped` and `describe`.
     """
 
     def __init__(self, name: str, device: str) -> None:
@@ -113,11 +131,16 @@ class Camera(ABC):
 
     @property
     def dropped(self) -> int:
-        """Number of frames inferred lost from gaps in the time stamps, or undecodable, since the first open."""
+        """Number of frames inferred lost from gaps in the time stamps, or undecodable,
+        since the first open.
+        """
         return self._dropped
 
     def read(self) -> Frame | None:
-        """Wait for the next frame, at most about two seconds. Raises DeviceError when the device is lost or stalls."""
+        """Wait for the next frame, at most about two seconds.
+
+        Raises DeviceError when the device is lost or stalls.
+        """
         frame, self._pending = self._pending, None
         return frame or self._next()
 
@@ -129,7 +152,9 @@ class Camera(ABC):
         return True
 
     def describe(self) -> dict[str, str | int | float]:
-        """Return the requested and the actual settings; ``fps_measured`` is 0 until two frames have arrived."""
+        """Return the requested and the actual settings;
+        ``fps_measured`` is 0 until two frames have arrived.
+        """
         period_ns = self._gaps.period_ns
         measured = round(1e9 / period_ns, 2) if period_ns else 0.0
         return {"device": self._device, **self._settings, "fps_measured": measured}

@@ -1,4 +1,6 @@
-"""How a person fixes what the daemon reports about broker, camera and frames, for its log and for `doctor`."""
+"""How a person fixes what the daemon reports about broker, camera and frames,
+for its log and for `doctor`.
+"""
 
 from __future__ import annotations
 
@@ -20,25 +22,36 @@ RIBBON_CABLE = (
 _END_THE_OTHER = "end the other program that uses it; tacshade-edge doctor names it"
 
 OF_FRAMES = {
-    ReasonCode.SIZE: "set source.width_px and height_px to the calibration's, or calibrate again at this size",
+    ReasonCode.SIZE: (
+        "set source.width_px and height_px to the calibration's, or calibrate again at this size"
+    ),
     ReasonCode.BLACK: "switch the sensor's light on",
     ReasonCode.NO_CONTRAST: "switch the sensor's light on; is the camera in focus?",
-    ReasonCode.SATURATED: "dim the sensor's light, or lower source.exposure to what it was at calibration",
+    ReasonCode.SATURATED: (
+        "dim the sensor's light, or lower source.exposure to what it was at calibration"
+    ),
     ReasonCode.LIGHT: _RELIGHT,
     ReasonCode.LIGHT_DRIFT: _RELIGHT,
     ReasonCode.GLARE: "outside light enters the sensor or reflects in it: shade it",
     ReasonCode.NOISE: "use more light and less gain, and check the camera's cable",
     ReasonCode.CAMERA_SHIFT: (
-        "fasten the camera where it was, take a new reference (calibrate --rezero), or calibrate again"
+        "fasten the camera where it was, take a new reference (calibrate --rezero), "
+        "or calibrate again"
     ),
-    ReasonCode.SURROUND: "the camera or its light moved: fasten it where it was, or calibrate again",
-    ReasonCode.TORN: "frames are damaged on the way: try another USB port, a shorter cable or a lower rate",
+    ReasonCode.SURROUND: (
+        "the camera or its light moved: fasten it where it was, or calibrate again"
+    ),
+    ReasonCode.TORN: (
+        "frames are damaged on the way: try another USB port, a shorter cable or a lower rate"
+    ),
 }
 OF_USB_CAMERAS = {
     ReasonCode.ABSENT: "plug it in, or set source.device to one that tacshade-edge doctor lists",
     ReasonCode.PERMISSION: "sudo usermod -aG video $USER, then log out and in again",
     ReasonCode.IN_USE: _END_THE_OTHER,
-    ReasonCode.NOT_OFFERED: "set source.fourcc, width_px, height_px and fps to what v4l2-ctl --list-formats-ext lists",
+    ReasonCode.NOT_OFFERED: (
+        "set source.fourcc, width_px, height_px and fps to what v4l2-ctl --list-formats-ext lists"
+    ),
     ReasonCode.NO_ANSWER: USB_CABLE,
     ReasonCode.LOST: USB_CABLE,
     ReasonCode.STALLED: USB_CABLE,
@@ -46,14 +59,16 @@ OF_USB_CAMERAS = {
 OF_CSI_CAMERAS = {
     ReasonCode.ABSENT: RIBBON_CABLE,
     ReasonCode.IN_USE: _END_THE_OTHER,
-    ReasonCode.NOT_OFFERED: "set source.width_px and height_px to a size that rpicam-hello --list-cameras shows",
+    ReasonCode.NOT_OFFERED: (
+        "set source.width_px and height_px to a size that rpicam-hello --list-cameras shows"
+    ),
     ReasonCode.LOST: RIBBON_CABLE,
     ReasonCode.STALLED: RIBBON_CABLE,
 }
 
 MESSAGE_SIZE_FIX = (
-    "raise message_size_limit and max_packet_size in the broker's configuration to at least 1000000 bytes, "
-    "or remove them"
+    "raise message_size_limit and max_packet_size in the broker's configuration to at least "
+    "1000000 bytes, or remove them"
 )
 BROKERS_LOG = "see the broker's log: sudo journalctl -u mosquitto"
 
@@ -74,17 +89,32 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
             authority = (
                 "is mqtt.ca_file the PEM file of the CA that signed the broker's certificate"
             )
-            asked = f"{authority}, is {host} a name in it (subjectAltName), and is this machine's clock right?"
+            asked = (
+                f"{authority}, is {host} a name in it (subjectAltName), "
+                "and is this machine's clock right?"
+            )
             return f"{asked} If the port does not use TLS, omit mqtt.ca_file"
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             install = "sudo apt install mosquitto"
-            return f"start the broker: sudo systemctl enable --now mosquitto (install it first: {install})"
+            return (
+                "start the broker: sudo systemctl enable --now mosquitto (install it first: "
+                f"{install})"
+            )
         case ConnectionRefusedError():
-            return "is the broker running, and does it accept other machines on mqtt.port (mosquitto: `listener`)?"
+            return (
+                "is the broker running, and does it accept other machines on mqtt.port (mosquitto: "
+                "`listener`)?"
+            )
         case ConnectionError() | EOFError() | TimeoutError() if tls_ca:
-            return "is mqtt.port the broker's TLS port (often 8883)? If it does not use TLS, omit mqtt.ca_file"
+            return (
+                "is mqtt.port the broker's TLS port (often 8883)? If it does not use TLS, "
+                "omit mqtt.ca_file"
+            )
         case TimeoutError():
-            return f"is the address right, is the machine on, and is its firewall open for port {port}?"
+            return (
+                "is the address right, is the machine on, "
+                f"and is its firewall open for port {port}?"
+            )
     return "is the network up, and is mqtt.host right?"
 
 
@@ -109,5 +139,8 @@ def refusal_fix(code: int, username: str | None) -> str:
     if is_not_authorised(code) and username is None:
         return "the broker requires a user: set mqtt.username and mqtt.password_file"
     if is_not_authorised(code):
-        return f"is the password right? To reset it: sudo mosquitto_passwd /etc/mosquitto/tacshade.passwd {username}"
+        return (
+            "is the password right? To reset it: sudo mosquitto_passwd "
+            f"/etc/mosquitto/tacshade.passwd {username}"
+        )
     return "use mosquitto 1.6 or newer" if is_other_version(code) else BROKERS_LOG

@@ -26,8 +26,8 @@ class Connections:
 class Listener(socket.socket):
     """A listening TCP socket that accepts only the connections that `admit` lets in.
 
-    It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before asyncio reports it,
-    and in a threaded server it costs a thread.
+    It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before
+    asyncio reports it, and in a threaded server it costs a thread.
 
     Raises OSError (the address does not exist, or its port is in use).
     """
@@ -46,7 +46,9 @@ class Listener(socket.socket):
             raise
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Return the next connection; raises ConnectionAbortedError, which asyncio and socketserver ignore."""
+        """Return the next connection; raises ConnectionAbortedError,
+        which asyncio and socketserver ignore.
+        """
         connection, address = super().accept()
         if not self._admit(connection):
             connection.close()

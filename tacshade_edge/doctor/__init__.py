@@ -1,4 +1,6 @@
-"""Finds what is wrong with a sensor and its machine, and what fixes it; a finding is one line of the report."""
+"""Finds what is wrong with a sensor and its machine, and what fixes it;
+a finding is one line of the report.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ State = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One result of a check; with a ``fault`` the daemon cannot work, with a ``warning`` worse than it could."""
+    """One result of a check; with a ``fault`` the daemon cannot work,
+    with a ``warning`` worse than it could.
+    """
 
     check: str
     state: State

@@ -1,4 +1,6 @@
-"""Checks the board itself: power, heat and governor, clocks, disk; and the facts that name it in a report."""
+"""Checks the board itself: power, heat and governor, clocks, disk;
+and the facts that name it in a report.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ def check_clock() -> Findings:
 
 
 def synchronised() -> bool | None:
-    """Whether any program synchronises the kernel's clock, with or without systemd; None if the kernel reports none."""
+    """Whether any program synchronises the kernel's clock, with or without systemd;
+    None if the kernel reports none.
+    """
     state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     return None if state < 0 else state != _TIME_ERROR
 
@@ -82,10 +86,16 @@ def synchronised() -> bool | None:
 def judge_clock(now_s: float, installed_s: float, synced: bool | None) -> Finding:
     """Judge the wall clock's time and its synchronisation."""
     today = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
-    keep = "connect to a network and run: sudo timedatectl set-ntp true (without systemd: install chrony)"
+    keep = (
+        "connect to a network and run: sudo timedatectl set-ntp true (without systemd: "
+        "install chrony)"
+    )
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
-        found = f"the date is {today}, but this program was installed on {since}, so times and file names will be wrong"
+        found = (
+            f"the date is {today}, but this program was installed on {since}, so times and file "
+            "names will be wrong"
+        )
         keep += "; a board without a battery-backed clock loses the time when it is switched off"
         return fault("clock", found, keep)
     if synced is False:
@@ -107,7 +117,10 @@ def check_disk(folder: Path) -> Findings:
 
 def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> Finding:
     if read_only:
-        fix = "remount it read-write; if the kernel made it read-only, the card may be failing (see sudo dmesg)"
+        fix = (
+            "remount it read-write; if the kernel made it read-only, "
+            "the card may be failing (see sudo dmesg)"
+        )
         return fault("disk", f"{folder} is on a read-only file system", fix)
     free = f"{folder}: {free_bytes / 1e9:.1f} GB free"
     clear = "delete old recordings and logs (sudo journalctl --vacuum-size=100M; sudo apt clean)"
@@ -143,7 +156,9 @@ def board_facts(machine: Machine) -> dict[str, str]:
 
 
 def heat(machine: Machine) -> str:
-    """Return the processor's temperature and any throttling since boot; empty if neither can be read."""
+    """Return the processor's temperature and any throttling since boot;
+    empty if neither can be read.
+    """
     zones = [
         f"/sys/class/thermal/{zone.name}"
         for zone in machine.names("/sys/class/thermal", "thermal_zone*")

@@ -1,4 +1,6 @@
-"""Checks the broker: is it reachable, does it pass on the daemon's messages, and is a daemon already connected?"""
+"""Checks the broker: is it reachable, does it pass on the daemon's messages,
+and is a daemon already connected?
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ class DaemonState:
 
 
 class _Session:
-    """A connection as the daemon has it, but with a client id that the broker invents; it keeps what was answered."""
+    """A connection as the daemon has it, but with a client id that the broker invents;
+    it keeps what was answered.
+    """
 
     def __init__(self, broker: BrokerAddress, base: str) -> None:
         self.base, self.topic = base, f"{base}/doctor"
@@ -94,7 +98,9 @@ class _Session:
         return self.published is not None and self.published.is_failure
 
     def pump(self, done: Callable[[], object]) -> bool:
-        """Send and receive until `done`, the connection's end or 2 s; return whether the connection is still open."""
+        """Send and receive until `done`, the connection's end or 2 s;
+        return whether the connection is still open.
+        """
         deadline_s = time.monotonic() + _ANSWER_S
         while not done() and time.monotonic() < deadline_s:
             if self.client.loop(0.05) != MQTTErrorCode.MQTT_ERR_SUCCESS:
@@ -119,7 +125,9 @@ class _Session:
 
 
 def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[Findings, DaemonState]:
-    """Connect as the daemon does, and receive own messages the size of a height map; nothing is retained."""
+    """Connect as the daemon does, and receive own messages the size of a height map;
+    nothing is retained.
+    """
     session = _Session(broker, f"tacshade/{sensor_id}")
     where, tls_ca = f"{broker['host']}:{broker['port']}", broker["tls_ca"]
     began_s = time.monotonic()
@@ -140,7 +148,10 @@ def check_broker(broker: BrokerAddress, sensor_id: str) -> tuple[Findings, Daemo
 def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -> Finding:
     log = "see journalctl -u tacshade-edge"
     if daemon.alive and daemon.rival:
-        found = f"two daemons are using {sensor_id}: one is running {daemon.place}, and the other is waiting"
+        found = (
+            f"two daemons are using {sensor_id}: one is running {daemon.place}, "
+            "and the other is waiting"
+        )
         fix = "stop one of the two daemons, or give its sensor another sensor_id"
         return warning("daemon", f"{found} {daemon.rival}", fix)
     if process is None and daemon.alive:
@@ -222,7 +233,10 @@ def _greet(
 
 def _round_trip(session: _Session, username: str | None) -> Finding:
     """Subscribe to the daemon's topics and our own, publish messages to ourselves and time them."""
-    acl = f"add two lines to the broker's ACL file: user {username or '(none)'}, then topic readwrite tacshade/#"
+    acl = (
+        f"add two lines to the broker's ACL file: user {username or '(none)'}, then topic "
+        "readwrite tacshade/#"
+    )
     acl += " (see systemd/mosquitto-tacshade.acl)"
     below = f"topics under {session.base}/"
     if not session.subscribe():

@@ -43,7 +43,10 @@ class Seen:
 
 
 def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_frame: bool) -> None:
-    """Write the zip file whole, with the latest frame, which may be private, only if asked. Raises DeviceError."""
+    """Write the zip file whole, with the latest frame, which may be private, only if asked.
+
+    Raises DeviceError.
+    """
     installed = {each.name: each.version for each in importlib.metadata.distributions()}
     texts = {
         "findings.json": _json([asdict(finding) for finding in findings]),
@@ -81,7 +84,9 @@ def without_secrets(text: str, secrets: Sequence[str]) -> str:
 
 
 def _secrets(document: Document) -> tuple[str, ...]:
-    """Return the words to remove from all texts; the user name stays if it is the sensor's, as in the shipped ACL."""
+    """Return the words to remove from all texts; the user name stays if it is the sensor's,
+    as in the shipped ACL.
+    """
     settings = document.settings
     try:
         password = links.read_password(document)

@@ -24,17 +24,20 @@ from tacshade_edge.types import U8, Calibration, Frame
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _DAY_S = 86400
 _REZERO = (
-    "while the daemon is running and nothing is touching the skin, publish {} to tacshade/SENSOR/req/reference; if the "
-    "problem returns, calibrate again (docs/how-to/calibration.md)"
+    "while the daemon is running and nothing is touching the skin, publish {} to "
+    "tacshade/SENSOR/req/reference; if the problem returns, calibrate again "
+    "(docs/how-to/calibration.md)"
 )
 _AGED = (
-    "restore the light, exposure and focus, or take a new reference: tacshade-edge calibrate --rezero "
-    "CAL.npz --reference ref_*.png --out NEW.npz"
+    "restore the light, exposure and focus, or take a new reference: tacshade-edge calibrate "
+    "--rezero CAL.npz --reference ref_*.png --out NEW.npz"
 )
 
 
 def load(document: Document) -> tuple[Calibration | None, Findings]:
-    """Load the calibration that the settings name (None if it is unusable), with findings on its file."""
+    """Load the calibration that the settings name (None if it is unusable),
+    with findings on its file.
+    """
     path = document.settings.calibration
     try:
         calibration = calibrations.find_calibration(document)
@@ -44,7 +47,10 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
             fix = f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
         return None, (fault("calibration", str(error), fix),)
     if isinstance(calibration, Reason):
-        found = f"{document.where('calibration')}: found no file {path}, so the daemon publishes only pictures"
+        found = (
+            f"{document.where('calibration')}: found no file {path}, "
+            "so the daemon publishes only pictures"
+        )
         return None, (warning("calibration", found, calibrations.how_to_calibrate(document)),)
     days = (time.time() - os.stat(path).st_mtime) / _DAY_S
     found = f"{path}: {calibration.crc32:08x}, {max(days, 0):.0f} days old"
@@ -58,7 +64,10 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
         )
     if renew := calibrations.fits_to_renew(path):
         fix = "calibrate again with --presses PRESSES.csv --fit (docs/how-to/calibration.md)"
-        found += f"; the networks for {', '.join(renew)} have changed since the fit, so the shipped networks are in use"
+        found += (
+            f"; the networks for {', '.join(renew)} have changed since the fit, so the shipped "
+            "networks are in use"
+        )
         return calibration, (warning("calibration", found, fix),)
     if fitted := calibration.fitted.get(DEFAULT):
         found += f", depth error after the fit {fitted.error_mm:.2f} mm"
@@ -68,7 +77,9 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
 
 
 def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> Findings:
-    """Compare images with the calibration's reference; nothing should touch the skin in `live` ones, a camera's."""
+    """Compare images with the calibration's reference;
+    nothing should touch the skin in `live` ones, a camera's.
+    """
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
@@ -99,13 +110,18 @@ def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> 
 
 
 def _check_place(calibration: Calibration, found: camera.Drift) -> Findings:
-    """Judge whether the visible circle has moved; no finding if that cannot be seen (a contact may hide it)."""
+    """Judge whether the visible circle has moved; no finding if that cannot be seen
+    (a contact may hide it).
+    """
     if found.still_part == 0:
         return ()
     size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
     place = f"the visible circle has moved {found.shift_px:.1f} px and {size} since the calibration"
     if camera.shifted_too_far(found, calibration.geometry.disc):
-        fix = "the camera has moved inside the sensor; move it back, or calibrate again (docs/how-to/calibration.md)"
+        fix = (
+            "the camera has moved inside the sensor; move it back, or calibrate again "
+            "(docs/how-to/calibration.md)"
+        )
         return (warning("camera place", place, fix),)
     return (ok("camera place", place),)
 
@@ -115,11 +131,17 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         renewed = rezero(calibration, images)
     except ConfigError as error:
         return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)
-    noise = f"noise of {renewed.noise_grey:.2f} grey levels, compared with {calibration.noise_grey:.2f} at calibration"
+    noise = (
+        f"noise of {renewed.noise_grey:.2f} grey levels, compared with "
+        f"{calibration.noise_grey:.2f} at calibration"
+    )
     if len(images) < 3:
         noise = "one image"
     elif renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
-        fix = "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, and calibrate again"
+        fix = (
+            "replace flickering light (mains lamps flicker), stop whatever is shaking the sensor, "
+            "and calibrate again"
+        )
         return warning("sensor", noise, fix)
     return ok("sensor", f"the image matches the calibration and shows no contact, {noise}")
 

@@ -32,11 +32,15 @@ _FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _RATE_PART = 0.9
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
-_STOP = "to check the camera itself, stop the daemon (sudo systemctl stop tacshade-edge) and start it again afterwards"
+_STOP = (
+    "to check the camera itself, stop the daemon (sudo systemctl stop tacshade-edge) and start it "
+    "again afterwards"
+)
 _BUSY_MACHINE = "stop whatever else is keeping this machine busy, or lower source.fps"
 # Best first. This project's udev rules add the names by USB port in /dev/tacshade.
 _NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
-# A Raspberry Pi's own nodes: its CSI receivers, and those that every Pi has with or without a camera.
+# A Raspberry Pi's own nodes: its CSI receivers,
+# and those that every Pi has with or without a camera.
 _CSI_RECEIVERS = ("unicam", "rp1-cfe")
 _OWN_NODES = (*_CSI_RECEIVERS, "bcm2835-isp", "bcm2835-codec", "pispbe", "rpi-hevc-dec", "rpivid")
 CSI_FIX = (
@@ -62,7 +66,9 @@ def list_cameras(machine: Machine) -> Finding:
 
 
 def check_device(source: V4l2, machine: Machine) -> Findings:
-    """Check that the configured node exists, is a usable camera and has a stable name; a fault rules out frames."""
+    """Check that the configured node exists, is a usable camera and has a stable name;
+    a fault rules out frames.
+    """
     device = source.device
     path, name = machine.at(device), card_name(device, machine)
     if not path.exists():
@@ -105,7 +111,9 @@ def check_csi(source: Rpicam) -> Findings:
 
 
 def _check_format(source: V4l2, node: str) -> Finding:
-    """Check that the driver lists the configured format; the frames show whether it offers size and rate."""
+    """Check that the driver lists the configured format;
+    the frames show whether it offers size and rate.
+    """
     try:
         formats = v4l2_node.formats(node)
     except DeviceError as error:
@@ -125,7 +133,9 @@ def _check_format(source: V4l2, node: str) -> Finding:
 def check_frames(
     source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str
 ) -> Findings:
-    """Judge what a camera delivered, or why nothing; `daemon_state` is what a daemon here publishes, or empty."""
+    """Judge what a camera delivered, or why nothing;
+    `daemon_state` is what a daemon here publishes, or empty.
+    """
     findings: list[Finding] = []
     if captured.error:
         if busy := _busy(source, captured.error, machine, daemon_state):
@@ -138,7 +148,10 @@ def check_frames(
         )
     if not captured.t_ns:
         return tuple(findings)
-    fix = "set source.exposure below the frame period, or choose a smaller size or a rate that the camera offers"
+    fix = (
+        "set source.exposure below the frame period, "
+        "or choose a smaller size or a rate that the camera offers"
+    )
     findings += [check_rate("camera frames", source.fps, captured, fix), _check_stamps(captured)]
     return (*findings, *_check_locks(captured), check_picture(captured.images[-1]))
 
@@ -225,7 +238,10 @@ def _check_stamps(captured: Captured) -> Finding:
             "camera time", f"{found} and out of order", "update the kernel, or use another camera"
         )
     if clock not in ("kernel", "sensor"):
-        fix = "use a camera that runs on the uvcvideo driver, whose kernel time stamps match poses more accurately"
+        fix = (
+            "use a camera that runs on the uvcvideo driver, whose kernel time stamps match poses "
+            "more accurately"
+        )
         return warning("camera time", found, fix)
     return (
         warning("camera time", found, _BUSY_MACHINE)
@@ -242,7 +258,10 @@ def _check_locks(captured: Captured) -> list[Finding]:
             continue
         missing = " in this driver" if lock == Lock.NO_CONTROL else ""
         found = f"{label}: {captured.described.get(key) or lock or 'not known'}{missing}"
-        fix = f"changes in {label} look like touches; lock {label} (`v4l2-ctl -d DEVICE -L`), or use another camera"
+        fix = (
+            f"changes in {label} look like touches; lock {label} (`v4l2-ctl -d DEVICE -L`), or use "
+            "another camera"
+        )
         is_automatic = lock == Lock.AUTOMATIC
         findings.append(
             warning("camera control", found, fix) if is_automatic else ok("camera control", found)
@@ -253,7 +272,10 @@ def _check_locks(captured: Captured) -> list[Finding]:
 def _choose(machine: Machine) -> str:
     """Return the fix for a missing configured camera."""
     if cameras := found_cameras(machine):
-        return f"set source.device to one of: {', '.join(_labelled(name, machine) for name in cameras)}"
+        return (
+            "set source.device to one of: "
+            f"{', '.join(_labelled(name, machine) for name in cameras)}"
+        )
     if has_csi_receiver(machine):
         return CSI_FIX
     return "plug a camera in (lsusb lists it if USB sees it); doctor found none"
@@ -265,7 +287,9 @@ def _labelled(name: str, machine: Machine) -> str:
 
 
 def csi_cameras() -> dict[int, str]:
-    """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists; none without the program."""
+    """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists;
+    none without the program.
+    """
     words = (PROGRAM, "--list-cameras")
     try:
         done = subprocess.run(
@@ -333,7 +357,9 @@ class Captured:
 
     @property
     def fps(self) -> float:
-        """Frames per second, measured without the first frames, which often come late; 0 if there are too few."""
+        """Frames per second, measured without the first frames, which often come late;
+        0 if there are too few.
+        """
         t_ns = self.t_ns[_SETTLING:]
         return (
             1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0])

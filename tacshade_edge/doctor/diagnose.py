@@ -1,4 +1,6 @@
-"""Runs every check in order, those that may hang in threads; all end within 20 s, whatever hangs."""
+"""Runs every check in order, those that may hang in threads;
+all end within 20 s, whatever hangs.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ _UNTIL = "until then, doctor does not check {}"
 def diagnose(
     config: Path, machine: Machine, seen: Seen | None = None, sensor_id: str | None = None
 ) -> Iterator[Finding]:
-    """Yield each finding as soon as it is known, the settings' first, and fill `seen` with the data."""
+    """Yield each finding as soon as it is known, the settings' first,
+    and fill `seen` with the data.
+    """
     finding, document, broker_usable = check_settings(config, sensor_id)
     yield finding
     seen = Seen() if seen is None else seen
@@ -75,7 +79,9 @@ def diagnose(
 
 
 def _cameras(document: Document | None) -> list[V4l2]:
-    """Return the V4L2 sources of all sensors in the settings file: they share the machine's ports."""
+    """Return the V4L2 sources of all sensors in the settings file:
+    they share the machine's ports.
+    """
     documents = (
         () if document is None else load_all(document.path) if document.several else (document,)
     )
@@ -128,7 +134,9 @@ def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:
 def check_settings(
     config: Path, sensor_id: str | None = None
 ) -> tuple[Finding, Document | None, bool]:
-    """Read the settings, None if unusable; the last value is whether those of the broker are usable."""
+    """Read the settings, None if unusable; the last value is whether those
+    of the broker are usable.
+    """
     try:
         document = load(config, sensor_id)
     except ConfigError as error:
@@ -156,7 +164,10 @@ def _fix(config: Path) -> str:
     except PermissionError:
         return f"run doctor with sudo, or as the service's user: {AS_SERVICE}"
     except OSError:
-        by_capture = "tacshade-edge capture DIR writes settings for this camera; pass them as --config DIR/config.yaml"
+        by_capture = (
+            "tacshade-edge capture DIR writes settings for this camera; pass them as --config "
+            "DIR/config.yaml"
+        )
         return f"{by_capture}, or copy config/default.yaml to {config}"
     return "fix that line (config/default.yaml explains every key)"
 
@@ -168,7 +179,8 @@ def start(job: Callable[[], Findings]) -> Future[Findings]:
     def work() -> None:
         try:
             future.set_result(job())
-        except Exception as error:  # noqa: BLE001 (a defect of one check must not hide what the others found)
+        # A defect of one check must not hide what the others found.
+        except Exception as error:  # noqa: BLE001
             future.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
@@ -176,7 +188,9 @@ def start(job: Callable[[], Findings]) -> Future[Findings]:
 
 
 def wait_for(future: Future[Findings], check: str, fix: str, deadline_s: float) -> Findings:
-    """Return what the check found, or a fault if it broke or did not end by `deadline_s` (``time.monotonic``)."""
+    """Return what the check found, or a fault if it broke or did not end by `deadline_s`
+    (``time.monotonic``).
+    """
     try:
         error = future.exception(max(0.0, deadline_s - time.monotonic()))
     except FutureTimeoutError:

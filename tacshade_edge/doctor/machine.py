@@ -1,4 +1,6 @@
-"""Devices and processes in the kernel's file systems; the root is an argument, so that tests can build one."""
+"""Devices and processes in the kernel's file systems;
+the root is an argument, so that tests can build one.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,9 @@ class Machine:
         ]
 
     def holders(self, device: str) -> list[Process]:
-        """The other processes that have a device open, as far as this user can see (root sees all)."""
+        """The other processes that have a device open,
+        as far as this user can see (root sees all).
+        """
         target = os.path.realpath(self.at(device))
         return [process for process in self.processes() if self._holds(process, target)]
 

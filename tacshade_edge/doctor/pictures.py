@@ -45,7 +45,9 @@ class Judged:
 def judge_pictures(
     calibration: Calibration, profile: str, paths: Sequence[Path]
 ) -> Iterator[Judged]:
-    """Judge each picture as the profile would; the picture's own judge refuses one that cannot be read."""
+    """Judge each picture as the profile would; the picture's own judge refuses one
+    that cannot be read.
+    """
     reconstructor = make_reconstructor(calibration, PROFILES[profile])
     for path in paths:
         try:
@@ -61,7 +63,9 @@ def judge_pictures(
 
 
 def figures(judged: Sequence[Judged]) -> list[str]:
-    """A line for each figure: its judge, the range over all pictures, its limits, and how many pictures they refuse."""
+    """A line for each figure: its judge, the range over all pictures, its limits,
+    and how many pictures they refuse.
+    """
     by_figure: dict[tuple[str, str], list[Measured]] = {}
     for each in (measured for one in judged for measured in one.measured):
         by_figure.setdefault((each.judge, each.what), []).append(each)
@@ -73,7 +77,8 @@ def figures(judged: Sequence[Judged]) -> list[str]:
         between = f"{min(found):.3g} to {max(found):.3g}"
         refused = sum(each.refuses for each in some)
         lines.append(
-            f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} {refused:>8}"
+            f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} "
+            f"{refused:>8}"
         )
     return lines
 

@@ -1,7 +1,8 @@
-"""Checks ports: can the streams of all cameras share a USB port, and is a robot's serial port free to use?
+"""Checks ports: can the streams of all cameras share a USB port,
+and is a robot's serial port free to use?
 
-A camera without room on its bus fails with "No space left on device", which names no other camera; so this adds up the
-shares. A serial port is looked at unopened: opening resets robots.
+A camera without room on its bus fails with "No space left on device", which names no other camera;
+so this adds up the shares. A serial port is looked at unopened: opening resets robots.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ _NO_UART = "0"  # /sys/class/tty/ttyS*/type of a port without a chip
 _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 _BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
-"""Bytes per pixel; for MJPG the most that pictures of pins and markers take, though a camera may reserve more."""
+"""Bytes per pixel; for MJPG the most that pictures of pins and markers take,
+though a camera may reserve more.
+"""
 _MB: Final = 1e6
 
 
 def check_serial(machine: Machine, device: str | None = "") -> Findings:
-    """One finding per sound port and problem; `device` is the robot's, None if there is none, "" if unknown."""
+    """One finding per sound port and problem; `device` is the robot's, None if there is none,
+    "" if unknown.
+    """
     listed = [
         path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)
     ]
@@ -37,7 +42,10 @@ def check_serial(machine: Machine, device: str | None = "") -> Findings:
         if machine.read(f"/sys/class/tty/{port}/type") == _NO_UART:
             continue
         if device is None:
-            unused = f"{_label(port, machine)}: not checked, because the settings name no robot (serial: null)"
+            unused = (
+                f"{_label(port, machine)}: not checked, because the settings name no robot "
+                "(serial: null)"
+            )
             found.append(ok("serial", unused))
         else:
             found += _check_port(port, machine)
@@ -93,7 +101,10 @@ def _check_port(port: str, machine: Machine) -> Findings:
             wrong.append(warning("serial", f"{label}: in use by {process}", fix))
     timer = machine.read(f"/sys/class/tty/{port}/device/latency_timer")
     if timer.isdecimal() and int(timer) > _LATENCY_MS:
-        fix = f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make this permanent, "
+        fix = (
+            f"echo {_LATENCY_MS} | sudo tee /sys/class/tty/{port}/device/latency_timer; to make "
+            "this permanent, "
+        )
         fix += f"add this line to /etc/udev/rules.d/90-ftdi.rules: {_FTDI_RULE}"
         wrong.append(
             warning(
@@ -126,7 +137,9 @@ class Port:
 
     @property
     def most_bytes_s(self) -> float:
-        """Limit for all streams in bytes/s; USB 2.0, table 5-5: six 1024-byte packets in each of 8000 microframes/s."""
+        """Limit for all streams in bytes/s; USB 2.0, table 5-5:
+        six 1024-byte packets in each of 8000 microframes/s.
+        """
         if self.speed_mbit < 480:
             return 1023e3  # one packet a millisecond
         return 6 * 1024 * 8000.0 if self.speed_mbit < 5000 else 400e6 * self.speed_mbit / 5000
@@ -150,7 +163,9 @@ def check_usb(cameras: Sequence[V4l2], machine: Machine) -> Findings:
 
 
 def port_of(device: str, machine: Machine) -> Port | None:
-    """Return the port that a video node's camera shares with others; None if it is not on USB or missing."""
+    """Return the port that a video node's camera shares with others;
+    None if it is not on USB or missing.
+    """
     node = os.path.basename(os.path.realpath(machine.at(device)))
     above = Path(os.path.realpath(machine.at(f"/sys/class/video4linux/{node}/device")))
     for folder in (above, *above.parents):

@@ -1,5 +1,7 @@
-"""Loads calibrations for every command. A file of another version is recalibrated from the images that it keeps; its
-fitted weights stay if the shipped network still has their layout.
+"""Loads calibrations for every command.
+
+A file of another version is recalibrated from the images that it keeps; its fitted weights stay if
+the shipped network still has their layout.
 """
 
 from __future__ import annotations
@@ -27,8 +29,10 @@ _log = logging.getLogger(__name__)
 
 
 def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
-    """Load a calibration and the objects that were taught, recalibrate one of another version if it keeps its images,
-    and with `store` replace its file and keep the old one beside it. Fitted networks that cannot run are left out.
+    """Load a calibration and the objects that were taught, recalibrate one of another version if it
+    keeps its images, and with `store` replace its file and keep the old one beside it. Fitted
+    networks that cannot run are left out.
+
     Raises ConfigError.
     """
     calibration = _load(path, store)
@@ -61,7 +65,10 @@ def _load(path: str | os.PathLike[str], store: bool) -> Calibration:
 
 
 def of_recording(recording: Path) -> Calibration | None:
-    """A recording's own calibration, whose file stays as it is; None without one. Raises ConfigError as `load` does."""
+    """A recording's own calibration, whose file stays as it is; None without one.
+
+    Raises ConfigError as `load` does.
+    """
     content = content_of(recording)
     if CALIBRATION_NAME not in content:
         return None
@@ -72,7 +79,10 @@ def of_recording(recording: Path) -> Calibration | None:
 
 
 def fits_to_renew(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Profiles whose fitted weights in a file do not have the shipped network's layout. Raises ConfigError."""
+    """Profiles whose fitted weights in a file do not have the shipped network's layout.
+
+    Raises ConfigError.
+    """
     return tuple(
         name
         for name, fitted in calibration_file.fitted_in(path).items()
@@ -112,8 +122,9 @@ def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Cali
 
 
 def find_calibration(document: Document, *, store: bool = False) -> Calibration | Reason:
-    """`load_calibration`, or a reason that explains how to make one if there is no file. Raises ConfigError if it
-    cannot be used.
+    """`load_calibration`, or a reason that explains how to make one if there is no file.
+
+    Raises ConfigError if it cannot be used.
     """
     path = document.settings.calibration
     try:
@@ -144,14 +155,17 @@ def size_px(calibration: Calibration | Reason) -> tuple[int, int] | None:
 def how_to_calibrate(document: Document) -> str:
     """The commands that make the calibration that the settings name, as text."""
     return (
-        f"while nothing else uses the camera, run tacshade-edge capture DIR --config {document.path}, "
-        "then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference DIR/reference_*.png "
-        f"--presses DIR/PRESSES.csv --out {document.settings.calibration}"
+        "while nothing else uses the camera, run tacshade-edge capture DIR --config "
+        f"{document.path}, then tacshade-edge calibrate --sensor DIR/SENSOR.yaml --reference "
+        f"DIR/reference_*.png --presses DIR/PRESSES.csv --out {document.settings.calibration}"
     )
 
 
 def load_calibration(document: Document, *, store: bool = False) -> Calibration:
-    """Load the calibration that the settings name, and check that it fits the source. Raises ConfigError."""
+    """Load the calibration that the settings name, and check that it fits the source.
+
+    Raises ConfigError.
+    """
     settings = document.settings
     try:
         calibration = load(settings.calibration, store=store)

@@ -1,4 +1,6 @@
-"""Reconstructs recordings of one hand's fingers to the messages that the hand would have published."""
+"""Reconstructs recordings of one hand's fingers to the messages
+that the hand would have published.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,10 @@ _log = logging.getLogger(__name__)
 
 
 def recorded_settings(content: dict[str, bytes]) -> Settings | None:
-    """The settings of the sensor that a recording was made with; None if it has none. Raises ConfigError."""
+    """The settings of the sensor that a recording was made with; None if it has none.
+
+    Raises ConfigError.
+    """
     if SETTINGS_NAME not in content:
         return None
     # Not `load`, which refuses a hand's finger without its hand.
@@ -40,7 +45,9 @@ def recorded_settings(content: dict[str, bytes]) -> Settings | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandRecording:
-    """Several recordings of a hand; `unread` gets a line for each image that cannot be read, as the log does."""
+    """Several recordings of a hand; `unread` gets a line for each image that cannot be read,
+    as the log does.
+    """
 
     hand_id: str
     fingers: tuple[str, ...]
@@ -72,8 +79,9 @@ class _Recorded:
 
 
 def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
-    """Read recordings of several fingers of one hand, made at the same time. Raises ConfigError if a recording lacks
-    its calibration or a finger's settings.
+    """Read recordings of several fingers of one hand, made at the same time.
+
+    Raises ConfigError if a recording lacks its calibration or a finger's settings.
     """
     fingers: dict[str, _Recorded] = {}
     hands, unread = set[str](), list[str]()
@@ -93,7 +101,10 @@ def read_hand(paths: Sequence[Path], profile: str) -> HandRecording:
                 f"{path}: found recordings of the hands {named}, expected recordings of one hand"
             )
         if settings.sensor_id in fingers:
-            text = f"{path}: found a second recording of {settings.sensor_id}, expected one recording per finger"
+            text = (
+                f"{path}: found a second recording of {settings.sensor_id}, "
+                "expected one recording per finger"
+            )
             raise ConfigError(text)
         if (calibration := calibrations.of_recording(path)) is None:
             raise ConfigError(

@@ -51,7 +51,8 @@ def check_broker_files(document: Document) -> None:
     mqtt = document.settings.mqtt
     if mqtt.ca_file is not None and not Path(mqtt.ca_file).is_file():
         raise ConfigError(
-            f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM file with certificates"
+            f"{document.where('mqtt', 'ca_file')}: found no file {mqtt.ca_file}, expected a PEM "
+            "file with certificates"
         )
     read_password(document)
 
@@ -61,8 +62,10 @@ def make_link(
     on_request: Callable[[Request], None],
     on_outcome: Callable[[str, int, PayloadOutcome], None],
 ) -> MqttLink:
-    """Make the link of a sensor, or of a hand, to the broker that the settings name, without starting it. Raises
-    ConfigError.
+    """Make the link of a sensor, or of a hand, to the broker that the settings name,
+    without starting it.
+
+    Raises ConfigError.
     """
     if isinstance(of, Hand):
         document, topic, client = of.common, f"hand/{of.hand_id}", f"hand.{of.hand_id}"
@@ -81,7 +84,10 @@ def make_link(
 
 
 def check_link(of: Document | Hand) -> None:
-    """Make the link that `run` makes without starting it: this also finds a wrong certificate. Raises ConfigError."""
+    """Make the link that `run` makes without starting it: this also finds a wrong certificate.
+
+    Raises ConfigError.
+    """
     check_broker_files(of.common if isinstance(of, Hand) else of)
     make_link(of, on_request=lambda _: None, on_outcome=lambda *_: None)
 

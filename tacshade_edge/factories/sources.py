@@ -1,4 +1,6 @@
-"""The frame source and the robot's port that the settings name, and the checks that do not open them."""
+"""The frame source and the robot's port that the settings name,
+and the checks that do not open them.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +98,9 @@ def frames_have_poses(settings: Settings) -> bool:
 
 
 def how_to_fix(source: Source, code: ReasonCode) -> str | None:
-    """What a person can do about a source's state; None if that is unknown or the reason itself says it."""
+    """What a person can do about a source's state;
+    None if that is unknown or the reason itself says it.
+    """
     of_cameras = {V4l2: fixes.OF_USB_CAMERAS, Rpicam: fixes.OF_CSI_CAMERAS}.get(type(source), {})
     return of_cameras.get(code) or fixes.OF_FRAMES.get(code)
 
@@ -114,7 +118,10 @@ def check_source(document: Document) -> None:
 
 
 def first_size(document: Document, source: Files) -> tuple[int, int] | None:
-    """Width and height of the first image, px; None if there is no image yet. Raises ConfigError."""
+    """Width and height of the first image, px; None if there is no image yet.
+
+    Raises ConfigError.
+    """
     from tacshade_edge.storage.recording.image_source import first_size_px
 
     try:
@@ -124,7 +131,9 @@ def first_size(document: Document, source: Files) -> tuple[int, int] | None:
 
 
 def make_serial_port(settings: Serial | None) -> SerialPort | None:
-    """Make the robot's port that the settings name, without opening it; None, without pyserial, if there is none."""
+    """Make the robot's port that the settings name, without opening it;
+    None, without pyserial, if there is none.
+    """
     if settings is None:
         return None
     from tacshade_edge.devices.serial.port import SerialPort
@@ -145,7 +154,10 @@ def check_serial(document: Document) -> None:
 
 
 def check_files(document: Document) -> None:
-    """Check the paths of the source and the serial port, and the broker's files. Raises ConfigError."""
+    """Check the paths of the source and the serial port, and the broker's files.
+
+    Raises ConfigError.
+    """
     from tacshade_edge.factories import links
 
     check_source(document)

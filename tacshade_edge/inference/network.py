@@ -1,4 +1,6 @@
-"""The networks of `core.depth.learned`, shipped or fitted, run by ONNX Runtime on one thread (decision 5)."""
+"""The networks of `core.depth.learned`, shipped or fitted,
+run by ONNX Runtime on one thread (decision 5).
+"""
 
 from __future__ import annotations
 
@@ -35,14 +37,18 @@ SHEAR = "shear"  # name of the network of shear, which all profiles share
 
 
 def load_network(name: str, fitted: FittedNetwork | None = None) -> Network:
-    """Load a shipped network (`Profile.network`), or a fitted one, and that of shear; for one thread at a time. Raises
-    ValueError if the fitted weights have another layout.
+    """Load a shipped network (`Profile.network`), or a fitted one, and that of shear;
+    for one thread at a time.
+
+    Raises ValueError if the fitted weights have another layout.
     """
     return read_network(WEIGHTS / f"{name}.onnx", fitted)
 
 
 def read_network(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
-    """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx`` (tools/training/export.py)."""
+    """Read an ONNX file and the files next to it: JSON and ``.sensor.onnx``
+    (tools/training/export.py).
+    """
     own = read_part(onnx, fitted)
     return_free_memory()  # 8 MB for `accurate`
     return replace(own, shear=_shear(), sigma=_sigma(onnx.stem))
@@ -54,8 +60,10 @@ def _shear() -> Network:
 
 
 def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
-    """Read one network. Raises ValueError like `load_network`. The features for a touch model
-    come from a second session, made for the first of them: it reads the files again, so that no weights are kept for
+    """Read one network.
+
+    Raises ValueError like `load_network`. The features for a touch model come from a second
+    session, made for the first of them: it reads the files again, so that no weights are kept for
     it.
     """
     about, (frame, once) = _about(onnx), _files(onnx, fitted)
@@ -77,7 +85,10 @@ def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
 
 
 def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
-    """What runs for every frame and what runs once, with fitted weights if there are any. Raises ValueError."""
+    """What runs for every frame and what runs once, with fitted weights if there are any.
+
+    Raises ValueError.
+    """
     frame, once = onnx.read_bytes(), onnx.with_suffix(".sensor.onnx").read_bytes()
     if fitted is None:
         return frame, once
@@ -88,13 +99,17 @@ def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
 
 
 def in_integers(onnx: Path, frame: bytes) -> bytes:
-    """Put the weights of a per-frame network into its integer graph, if it has one (tools/training/integer.py)."""
+    """Put the weights of a per-frame network into its integer graph, if it has one
+    (tools/training/integer.py).
+    """
     graph = onnx.with_suffix(".integer.onnx")
     return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
 
 
 def network_files(name: str) -> tuple[bytes, bytes]:
-    """The shipped ONNX files: the one that runs for every frame, and the one that runs once per sensor."""
+    """The shipped ONNX files: the one that runs for every frame,
+    and the one that runs once per sensor.
+    """
     return _files(WEIGHTS / f"{name}.onnx", None)
 
 
@@ -106,7 +121,9 @@ def network_size(name: str) -> tuple[int, int]:
 
 @cache
 def shipped_layout(name: str) -> str:
-    """Layout of a shipped network; fitted weights of another layout cannot run (`FittedNetwork.layout`)."""
+    """Layout of a shipped network; fitted weights of another layout cannot run
+    (`FittedNetwork.layout`).
+    """
     return layout_of(*network_files(name))
 
 
@@ -148,7 +165,9 @@ def _about(onnx: Path) -> dict[str, Any]:
 
 
 def _touch_file(onnx: Path) -> Path:
-    """The file with the nodes that pool activations for a touch model (tools/training/touch_outputs.py)."""
+    """The file with the nodes that pool activations for a touch model
+    (tools/training/touch_outputs.py).
+    """
     return onnx.with_suffix(".touch.onnx")
 
 
@@ -189,9 +208,9 @@ def preload(profile: Profile) -> None:
 
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
-    """Make a reconstructor, with the network that the profile names, fitted or shipped; a preloaded one is shared: only
-    one thread of a daemon runs it. A touch model learned from other networks is replaced by a reason. Objects that were
-    taught are named.
+    """Make a reconstructor, with the network that the profile names, fitted or shipped; a preloaded
+    one is shared: only one thread of a daemon runs it. A touch model learned from other networks is
+    replaced by a reason. Objects that were taught are named.
     """
     made = _without_names(calibration, profile)
     if known := calibration.known.get(profile.name):
@@ -209,7 +228,10 @@ def _without_names(calibration: Calibration, profile: Profile) -> Reconstructor:
     network = (_for_all.get(name) if fitted is None else None) or load_network(name, fitted)
     if touch is None or touch.networks == touch_networks(name, fitted):
         return Reconstructor(calibration, profile, network, touch=touch)
-    text = "the touch model was trained with other networks; train the model again: `tacshade-edge calibrate --labels`"
+    text = (
+        "the touch model was trained with other networks; train the model again: `tacshade-edge "
+        "calibrate --labels`"
+    )
     return Reconstructor(
         calibration, profile, network, touch=Reason(ReasonCode.TOUCH_NETWORKS, text)
     )
@@ -227,8 +249,8 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchResult:
-    """What a profile learnt from a table: the frames that were used, which the reports number; a line for each other
-    one; the rows and groups of each quantity that has too few.
+    """What a profile learnt from a table: the frames that were used, which the reports number; a
+    line for each other one; the rows and groups of each quantity that has too few.
     """
 
     profile: str

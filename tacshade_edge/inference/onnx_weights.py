@@ -1,9 +1,9 @@
 """The weights inside an ONNX file: reads them and replaces them.
 
-A fitted network is stored as its weights alone, so that a calibration contains numbers and never a graph. This module
-reads only the fields that it needs of the format (Protocol Buffers, and ONNX's ``onnx.proto``). ONNX Runtime replaces a
-graph's weights by name, but states neither their names and values nor the layout to which they belong. What is no such
-file raises ValueError.
+A fitted network is stored as its weights alone, so that a calibration contains numbers and never a
+graph. This module reads only the fields that it needs of the format (Protocol Buffers, and ONNX's
+``onnx.proto``). ONNX Runtime replaces a graph's weights by name, but states neither their names and
+values nor the layout to which they belong. What is no such file raises ValueError.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 
 from tacshade_edge.types import F32
 
-# Field numbers of ModelProto, GraphProto, TensorProto, NodeProto and AttributeProto; a data type; wire types.
+# Field numbers of ModelProto, GraphProto, TensorProto, NodeProto and AttributeProto; a data type;
+# wire types.
 _GRAPH = 7
 _NODE, _INITIALIZER = 1, 5
 _DIMS, _DATA_TYPE, _NAME, _RAW_DATA = 1, 2, 8, 9
@@ -95,7 +96,9 @@ def nodes_of(data: bytes) -> list[Node]:
 
 
 def layout_of(*files: bytes) -> str:
-    """Name that networks share if only their weights differ: hexadecimal SHA-256 of the rest of their graphs."""
+    """Name that networks share if only their weights differ:
+    hexadecimal SHA-256 of the rest of their graphs.
+    """
     digest = hashlib.sha256()
     for data in files:
         graph = graph_of(data)
@@ -114,7 +117,10 @@ def values_of(data: bytes) -> F32:
 
 
 def with_values(data: bytes, values: F32) -> bytes:
-    """The same network with other weights, in the order of `values_of`. Raises ValueError if the number differs."""
+    """The same network with other weights, in the order of `values_of`.
+
+    Raises ValueError if the number differs.
+    """
     made, stored, at = bytearray(data), values.astype("<f4").tobytes(), 0
     for weight in weights_of(data):
         size = weight.end - weight.begin
@@ -134,7 +140,9 @@ def with_weights_of(graph: bytes, data: bytes) -> bytes:
 
 
 def joined(graph: bytes, more: bytes) -> bytes:
-    """A network with more fields in its graph: Protocol Buffers concatenates the lists of a repeated message."""
+    """A network with more fields in its graph: Protocol Buffers concatenates the lists
+    of a repeated message.
+    """
     return graph + message(_GRAPH, more)
 
 

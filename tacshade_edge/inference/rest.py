@@ -1,4 +1,6 @@
-"""Measure the evidence of a touch on images of the untouched skin, for every profile with a network."""
+"""Measure the evidence of a touch on images of the untouched skin,
+for every profile with a network.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,10 @@ def learn_rest(
     images: Iterable[tuple[str, U8]],
     false_contacts: float = FALSE_CONTACTS,
 ) -> LearntRest:
-    """Measure the limits on images with their names. Raises ConfigError if too few of them can be used."""
+    """Measure the limits on images with their names.
+
+    Raises ConfigError if too few of them can be used.
+    """
     bare = replace(calibration, rest={})
     makers = {
         name: make_reconstructor(bare, profile)

@@ -1,4 +1,6 @@
-"""The part of a network's first layer that a sensor fixes, computed once in exact sums (docs: numerics)."""
+"""The part of a network's first layer that a sensor fixes, computed once in exact sums (docs:
+numerics).
+"""
 
 from __future__ import annotations
 
@@ -8,10 +10,13 @@ from tacshade_edge.inference.onnx_weights import weights_of
 from tacshade_edge.types import F32, F64
 
 KNOWN_BITS, WEIGHT_BITS = 14, 20
-"""Bits behind the point of what is known of the sensor, and of the weights: the sums of their products are exact in
-float64 below 2**19, whatever adds them, and how."""
+"""Bits behind the point of what is known of the sensor, and of the weights: the sums of their
+products are exact in float64 below 2**19, whatever adds them, and how.
+"""
 RESULT_BITS = 10
-"""Bits behind the point of the result, which float32 adds exactly to what the graph makes of white."""
+"""Bits behind the point of the result, which float32 adds exactly to what the graph makes
+of white.
+"""
 
 
 def sensor_layer(data: bytes, known: F32) -> F32:

@@ -1,1 +1,3 @@
-"""The public library, `import tacshade_edge`: a thin layer over the core and the devices, in the caller's thread."""
+"""The public library, `import tacshade_edge`: a thin layer over the core and the devices,
+in the caller's thread.
+"""

@@ -53,10 +53,11 @@ class _Whole:
 
 
 class FrameAssembler:
-    """Takes one daemon's messages in the order in which the daemon sent them; keeps the newest complete frame.
+    """Takes one daemon's messages in the order in which the daemon sent them;
+    keeps the newest complete frame.
 
-    `info` and `state` are as last published. `passed_over` counts the frames that a newer one replaced, that arrived
-    incomplete, or that do not match the published calibration.
+    `info` and `state` are as last published. `passed_over` counts the frames that a newer one
+    replaced, that arrived incomplete, or that do not match the published calibration.
     """
 
     def __init__(self) -> None:
@@ -116,7 +117,9 @@ class FrameAssembler:
         self._newest = _Whole(contact, streams, _touch_of(contact, self._touch))
 
     def take(self) -> Result | None:
-        """The result of the newest complete frame; None if there is none or it cannot be decoded."""
+        """The result of the newest complete frame;
+        None if there is none or it cannot be decoded.
+        """
         whole, self._newest = self._newest, None
         if whole is None:
             return None
@@ -138,7 +141,8 @@ class FrameAssembler:
         for other in (shear, sigma):
             if other is not None and (height is None or _grid(other) != _grid(height)):
                 raise DecodeError(
-                    "shear or sigma: found a grid other than the height map's, expected the same grid"
+                    "shear or sigma: found a grid other than the height map's, "
+                    "expected the same grid"
                 )
         shear_mm = None if shear is None else shear.shear_mm
         points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
@@ -184,7 +188,9 @@ class FrameAssembler:
 def _touched(
     message: HeightMessage, cloud: ObjectCloud, shear_mm: F32 | None, geometry: Geometry
 ) -> tuple[HeightMap, tuple[TouchedObject, ...], float]:
-    """The height map, its objects and their volume in mm³; contact and objects are those of the points."""
+    """The height map, its objects and their volume in mm³;
+    contact and objects are those of the points.
+    """
     height_mm, grid = message.height_mm, _grid(message)
     if (height_mm > geometry.height_max_mm).any():
         raise DecodeError(

@@ -1,4 +1,6 @@
-"""Results from a camera or a recording: a frame is read when a result is requested, in the caller's thread."""
+"""Results from a camera or a recording: a frame is read when a result is requested,
+in the caller's thread.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ _log = logging.getLogger(__name__)
 _STALE_PERIODS: Final = 2
 """A frame older than this when it is read has waited behind a newer one."""
 _WAITING_MAX: Final = 8
-"""More than a driver's buffers: if this many frames in a row are late, the camera itself is late."""
+"""More than a driver's buffers: if this many frames in a row are late,
+the camera itself is late.
+"""
 
 
 def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
@@ -39,18 +43,19 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
     Parameters
     ----------
     source : path
-        A device such as ``/dev/video0``, or a settings file (``.yaml``) that names a camera, a folder or the simulated
-        sensor.
+        A device such as ``/dev/video0``, or a settings file (``.yaml``) that names a camera, a
+        folder or the simulated sensor.
     sensor : Sensor, optional
-        By default, the calibration and profile that the settings name; for a device, the service's calibration.
+        By default, the calibration and profile that the settings name;
+        for a device, the service's calibration.
 
     Raises
     ------
     ConfigError
         The arguments or settings can never work.
     DeviceError
-        The camera is missing, in use, or delivers no frame. Later, from ``next``: the camera was lost; the next call
-        reopens it.
+        The camera is missing, in use, or delivers no frame. Later, from ``next``: the camera was
+        lost; the next call reopens it.
     """
     path = path_of("source", source)
     _check_sensor(sensor)
@@ -71,7 +76,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         settings = Settings(source=V4l2(device=str(path)))
     else:
         raise ConfigError(
-            f"{path}: found another kind of file, expected a settings file (.yaml) or a device such as /dev/video0"
+            f"{path}: found another kind of file, expected a settings file (.yaml) or a device "
+            "such as /dev/video0"
         )
     rows, cols = sensor.image_size_px
     return _Live(sources.make_source(settings.source, (cols, rows)), sensor, settings.source.fps)
@@ -85,8 +91,8 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     Parameters
     ----------
     recording : path
-        A folder or MCAP file that ``tacshade-edge record`` made, any folder of images, an image, or a video
-        (docs/how-to/replay.md).
+        A folder or MCAP file that ``tacshade-edge record`` made, any folder of images, an image, or
+        a video (docs/how-to/replay.md).
     sensor : Sensor, optional
         By default, the sensor with the recording's own calibration and the profile ``balanced``.
 
@@ -107,7 +113,8 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
     if sensor is None:
         if (own := calibrations.of_recording(path)) is None:
             raise ConfigError(
-                f"{path}: the recording contains no {CALIBRATION_NAME}; pass a sensor: read(recording, sensor)"
+                f"{path}: the recording contains no {CALIBRATION_NAME}; pass a sensor: "
+                "read(recording, sensor)"
             )
         sensor = Sensor(own, DEFAULT)
     return _Recorded(frames, sensor)
@@ -193,14 +200,16 @@ class _Recorded(Results):
 def read_hand(
     recordings: Iterable[str | os.PathLike[str]], *, profile: str = DEFAULT
 ) -> Iterator[HandObjects]:
-    """Read recordings of a hand's fingers and yield the messages that the hand would have published.
+    """Read recordings of a hand's fingers and yield the messages
+    that the hand would have published.
 
     See docs/how-to/hand.md. The log reports damaged and cut-off recordings.
 
     Parameters
     ----------
     recordings : iterable of path
-        Recorded at the same time by the sensors of one hand; each holds its calibration and the sensor's pose.
+        Recorded at the same time by the sensors of one hand;
+        each holds its calibration and the sensor's pose.
     profile : str
         ``fast``, ``balanced`` or ``accurate``.
 
@@ -212,7 +221,8 @@ def read_hand(
     Raises
     ------
     ConfigError
-        A path is not a finger's recording, two recordings are of one sensor, or they are of several hands.
+        A path is not a finger's recording, two recordings are of one sensor,
+        or they are of several hands.
     """
     if isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable):
         raise wrong("recordings", recordings, "a list of paths")

@@ -16,7 +16,8 @@ Message = wire.HeightMessage | wire.CloudMessage | wire.ShearMessage | wire.Sigm
 
 
 def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
-    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma``, ``map/cloud`` or hand's ``objects``.
+    """Decode the payload of one ``height``, ``cloud``, ``shear``, ``sigma``,
+    ``map/cloud`` or hand's ``objects``.
 
     Parameters
     ----------
@@ -26,7 +27,8 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
     Returns
     -------
     HeightMessage, CloudMessage, ShearMessage, SigmaMessage or HandObjects
-        The kind that the payload's header states; HandObjects for JSON. Arrays are read-only, lengths in mm.
+        The kind that the payload's header states; HandObjects for JSON.
+        Arrays are read-only, lengths in mm.
 
     Raises
     ------
@@ -42,7 +44,8 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
 
 
 def decode_file(path: str | os.PathLike[str]) -> Iterator[Message]:
-    """Decode a replay's file of payloads, one after another: ``heights.bin``, ``clouds.bin`` or ``shears.bin``.
+    """Decode a replay's file of payloads, one after another:
+    ``heights.bin``, ``clouds.bin`` or ``shears.bin``.
 
     Parameters
     ----------

@@ -36,21 +36,24 @@ class Result:
     seq : int
         The frame's number in its source; 0 for a single image.
     t_ns, wall_ns : int
-        Capture time in ns: CLOCK_MONOTONIC of the machine with the camera, or the recording's clock; and Unix time. 0
-        if unknown.
+        Capture time in ns: CLOCK_MONOTONIC of the machine with the camera, or the recording's
+        clock; and Unix time. 0 if unknown.
     profile : str
     valid : bool
         Whether the frame was usable; if not, every height is 0 and `depth_max_mm` NaN.
     reason, reason_code : str
-        Why the frame is invalid, for people and for programs (docs/reference/mqtt/reasons.md); empty when valid.
+        Why the frame is invalid, for people and for programs (docs/reference/mqtt/reasons.md);
+        empty when valid.
     degraded, degraded_code : str
         Why the result is less trustworthy; empty when all is well.
     in_contact : bool
         Whether anything touches the skin.
     saturated : bool
-        Whether the grey left the range that the calibration covers; if so, the depth is a lower bound.
+        Whether the grey left the range that the calibration covers;
+        if so, the depth is a lower bound.
     height_mm : float32 (rows, cols)
-        h, how far the skin is pressed in; NaN outside the visible disc, exactly 0 inside it without contact.
+        h, how far the skin is pressed in; NaN outside the visible disc,
+        exactly 0 inside it without contact.
     contact : bool (rows, cols)
         Cells where the skin touches an object.
     untrusted : bool (rows, cols) or None
@@ -58,7 +61,8 @@ class Result:
     shear_mm : float32 (rows, cols, 2) or None
         How far the skin is dragged along x and y; None if not reported.
     sigma_mm : float32 (rows, cols) or None
-        Standard deviation of `height_mm` where `contact` is true, NaN elsewhere; None if not reported.
+        Standard deviation of `height_mm` where `contact` is true, NaN elsewhere;
+        None if not reported.
     row0, col0, step_px : float
         Cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
     points_mm : float32 (N, 3)
@@ -70,8 +74,9 @@ class Result:
     volume_mm3 : float
         Volume displaced under the contacts.
     touch, touch_sigma : mapping of str to float or None
-        The touch as a few numbers, each in the unit of its name, and the standard deviation of each; a value is None if
-        the model does not know it. Both mappings are None without contact or if not reported.
+        The touch as a few numbers, each in the unit of its name, and the standard deviation of
+        each; a value is None if the model does not know it. Both mappings are None without contact
+        or if not reported.
     touch_reason, touch_reason_code : str
         Why some or all of the values are unknown; empty when all are known.
     pose : Pose or None
@@ -79,8 +84,8 @@ class Result:
     geometry : Geometry
         Skin, camera and visible circle.
     touched : bool
-        Whether something touches, but its depth is unknown: `in_contact` is then false, every height 0, `depth_max_mm`
-        NaN, and `degraded` states why.
+        Whether something touches, but its depth is unknown: `in_contact` is then false, every
+        height 0, `depth_max_mm` NaN, and `degraded` states why.
     """
 
     seq: int
@@ -120,7 +125,9 @@ class Result:
 
     @property
     def depth_max_mm(self) -> float:
-        """Greatest h of the touched objects in mm; 0 without contact, NaN if the frame is invalid or `touched`."""
+        """Greatest h of the touched objects in mm; 0 without contact,
+        NaN if the frame is invalid or `touched`.
+        """
         if self.touched or not self.valid:
             return math.nan
         return max((o.depth_max_mm for o in self.objects), default=0.0)
@@ -141,7 +148,9 @@ class Result:
         return f'{line}<br><img alt="h in mm, with its scale" src="data:image/png;base64,{data}">'
 
     def skin_mm(self) -> F32:
-        """Each cell's skin point: x, y, z in mm in the sensor frame, float32 (rows, cols, 3); NaN outside the disc."""
+        """Each cell's skin point: x, y, z in mm in the sensor frame, float32 (rows, cols, 3);
+        NaN outside the disc.
+        """
         rows, cols = self.height_mm.shape
         grid = Grid(rows, cols, self.row0, self.col0, self.step_px)
         return skin_points(self.height_mm, disc_rays(grid, self.geometry), self.geometry)
@@ -190,13 +199,16 @@ def result_of(
 class Results(ABC, Iterator[Result]):
     """An iterator of results, each computed in the caller's thread when it is requested.
 
-    After an exception, the next call of ``next`` continues. Close the iterator with ``with`` or `close`, or exhaust it.
+    After an exception, the next call of ``next`` continues.
+    Close the iterator with ``with`` or `close`, or exhaust it.
     """
 
     @property
     @abstractmethod
     def passed_over(self) -> int:
-        """Number of frames without a result: a newer one replaced them, or they were lost or damaged in transit."""
+        """Number of frames without a result: a newer one replaced them,
+        or they were lost or damaged in transit.
+        """
 
     @property
     def refused(self) -> int:

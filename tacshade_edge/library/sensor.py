@@ -30,7 +30,8 @@ def load(
     Parameters
     ----------
     calibration : path
-        Never written to: an older version's file is recalibrated from its images on each load, which the log reports.
+        Never written to: an older version's file is recalibrated from its images on each load,
+        which the log reports.
     profile : str
         ``fast``, ``balanced``, ``accurate`` or ``paper``.
     outline : str
@@ -109,10 +110,14 @@ class Sensor:
         return self.step(Frame(0, 0, 0, pixels), None)
 
     def step(self, frame: Frame, tracker: ContactTracker | None) -> Result:
-        """Reconstruct a frame of a stream and track its objects; for the library's internal use. Raises ConfigError."""
+        """Reconstruct a frame of a stream and track its objects; for the library's internal use.
+
+        Raises ConfigError.
+        """
         if not self._in_use.acquire(blocking=False):
             raise ConfigError(
-                "sensor: found two threads using one sensor, expected one thread; load a sensor in each thread"
+                "sensor: found two threads using one sensor, expected one thread; load a sensor "
+                "in each thread"
             )
         try:
             made = step_and_track(self._reconstructor, tracker, frame)

@@ -1,4 +1,6 @@
-"""Results from a daemon on the network: messages are received when a result is requested, in the caller's thread."""
+"""Results from a daemon on the network: messages are received when a result is requested,
+in the caller's thread.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,9 @@ def listen(
 ) -> Results:
     """Listen to a running daemon (docs/reference/mqtt.md).
 
-    The daemon publishes a result for each frame in contact, for the end of a contact, and ten times a second while
-    nothing touches. A slower reader gets the newest result; the others are passed over.
+    The daemon publishes a result for each frame in contact, for the end of a contact, and ten times
+    a second while nothing touches. A slower reader gets the newest result; the others are passed
+    over.
 
     Parameters
     ----------
@@ -57,15 +60,16 @@ def listen(
     username, password : str, optional
         Credentials for a broker that requires them.
     ca_file : path, optional
-        Certificate of the authority that signed the broker's certificate; if given, the connection uses TLS.
+        Certificate of the authority that signed the broker's certificate;
+        if given, the connection uses TLS.
 
     Raises
     ------
     ConfigError
         The arguments can never work.
     DeviceError
-        No broker answers, or the broker rejects the client. Later, from ``next``: no result arrived for 5 s, or the
-        connection was lost; the next call connects again.
+        No broker answers, or the broker rejects the client. Later, from ``next``: no result arrived
+        for 5 s, or the connection was lost; the next call connects again.
     """
     host, port = host_and_port(text_of("broker", broker, BROKER))
     if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(
@@ -193,10 +197,13 @@ class _Heard(Results):
                 pass
             there = ", ".join(map(shown, sorted(self._there))) or "no sensor"
             known = f"no daemon has published a state, expected one of those that have: {there}"
-        text = f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; {known}{'; ' * bool(reason)}{reason}"
+        text = (
+            f"{self._where}: {self._base}: no result for {_SILENT_S:.0f} s; "
+            f"{known}{'; ' * bool(reason)}{reason}"
+        )
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
-    # -- called by paho, in the caller's thread ----------------------------------------------------------------------
+    # -- called by paho, in the caller's thread ----------------------------------------------------
 
     def _on_connect(
         self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any

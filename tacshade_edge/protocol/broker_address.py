@@ -10,12 +10,17 @@ from ..quoting import quoted
 
 BROKER: Final = "HOST or HOST:PORT, such as localhost:1883"
 HOST: Final = r"^(?!.{254})(?:[^\s\x00-\x1f\x7f:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-Fa-f:.]+(?:%\w+)?)\Z"
-"""Pattern of a host name, an IPv4 address or an IPv6 address, without a scheme, brackets or a port."""
+"""Pattern of a host name, an IPv4 address or an IPv6 address, without a scheme,
+brackets or a port.
+"""
 _PORT: Final = "1883"
 
 
 def host_and_port(broker: str) -> tuple[str, int]:
-    """Split ``HOST`` or ``HOST:PORT``; an IPv6 address is in brackets, the default port is 1883. Raises ConfigError."""
+    """Split ``HOST`` or ``HOST:PORT``; an IPv6 address is in brackets, the default port is 1883.
+
+    Raises ConfigError.
+    """
     host, colon, port = broker.rpartition(":")
     if not colon:
         host, port = broker, _PORT

@@ -1,7 +1,8 @@
-"""The codec of all JSON that sensors publish: a message's type states its fields and their bounds (`msgspec.Meta`).
+"""The codec of all JSON that sensors publish: a message's type states its fields and their bounds
+(`msgspec.Meta`).
 
-Anyone who reaches the broker may have written a payload, so decoding limits its size, and unknown keys are ignored only
-within these limits.
+Anyone who reaches the broker may have written a payload, so decoding limits its size, and unknown
+keys are ignored only within these limits.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ BYTES_MAX: Final = 1 << 16
 VALUES_MAX: Final = 1 << 14
 DEPTH_MAX: Final = 9
 CHARS_MAX: Final = 4096
-"""The longest text accepted; the longest that a daemon publishes is a reason of a few hundred characters."""
+"""The longest text accepted; the longest that a daemon publishes is a reason
+of a few hundred characters.
+"""
 _INTEGER_MAX: Final = 2**64
 _ERROR_CHARS_MAX: Final = 200
 
@@ -41,8 +44,8 @@ def _plain(value: object) -> object:
 def decode_json(what: str, payload: bytes, kind: type[T]) -> T:
     """Decode the payload of the topic `what` as a `kind`; unknown keys are ignored.
 
-    Raises DecodeError if the payload has more bytes, values, levels or characters than a daemon publishes, holds a
-    number that is not finite, is not JSON, or is not a `kind`.
+    Raises DecodeError if the payload has more bytes, values, levels or characters than a daemon
+    publishes, holds a number that is not finite, is not JSON, or is not a `kind`.
     """
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: found {len(payload)} bytes, expected at most {BYTES_MAX}")
@@ -55,7 +58,8 @@ def decode_json(what: str, payload: bytes, kind: type[T]) -> T:
         RecursionError,
     ) as error:  # msgspec's errors are ValueErrors, as is UnicodeDecodeError
         raise DecodeError(
-            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in docs/reference/mqtt.md"
+            f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in "
+            "docs/reference/mqtt.md"
         ) from error
 
 

@@ -1,7 +1,9 @@
-"""Encode ``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch, in the hand's frame, as JSON.
+"""Encode ``tacshade/hand/<hand-id>/objects``: what all fingers of a hand touch,
+in the hand's frame, as JSON.
 
-Each finger's daemon computes its part, and the hand's own process merges the parts: `encode_finger` and `decode_finger`
-carry a part from one to the other, `encode_hand` and `topics.decode_hand` serve the topic.
+Each finger's daemon computes its part, and the hand's own process merges the parts: `encode_finger`
+and `decode_finger` carry a part from one to the other, `encode_hand` and `topics.decode_hand` serve
+the topic.
 """
 
 from __future__ import annotations
@@ -52,7 +54,10 @@ def encode_finger(finger: Finger) -> bytes:
 
 
 def decode_finger(payload: bytes) -> Finger:
-    """Decode `encode_finger`'s output; our own process sent it, so only types are checked. Raises DecodeError."""
+    """Decode `encode_finger`'s output; our own process sent it, so only types are checked.
+
+    Raises DecodeError.
+    """
     try:
         return msgspec.json.decode(payload, type=Finger)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -88,7 +88,9 @@ def encode_touch(result: Reconstruction) -> bytes:
 
 
 def touch_fields(touch: Touch | None) -> dict[str, Any]:
-    """Fields ``touch`` and ``touch_sigma`` of messages and ``summary.json``, rounded to 0.0001; None without touch."""
+    """Fields ``touch`` and ``touch_sigma`` of messages and ``summary.json``, rounded to 0.0001;
+    None without touch.
+    """
     if touch is None:
         return {"touch": None, "touch_sigma": None}
     return {"touch": _rounded(touch.values), "touch_sigma": _rounded(touch.sigma)}
@@ -148,7 +150,8 @@ def event_values(result: Reconstruction) -> dict[str, float]:
 def encode_info(
     *, calibration: Calibration | Reason, choice: str | None = None, profile: str, **others: Any
 ) -> bytes:
-    """The ``info`` payload; `calibration` is the reason if there is none, a missing `choice` means `profile`.
+    """The ``info`` payload; `calibration` is the reason if there is none,
+    a missing `choice` means `profile`.
 
     `others` are fields of `Info`.
     """
@@ -179,5 +182,7 @@ def _geometry(calibration: Calibration) -> InfoGeometry:
 def encode_status(
     state: str, reason: Reason | None = None, details: Mapping[str, str | int | float] | None = None
 ) -> bytes:
-    """The ``status/<part>`` payload: ``state``, ``reason`` with its code, and the part's own details."""
+    """The ``status/<part>`` payload: ``state``, ``reason`` with its code,
+    and the part's own details.
+    """
     return encode_json({**(details or {}), "state": state, **reason_fields(reason)})

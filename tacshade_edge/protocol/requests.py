@@ -68,8 +68,8 @@ class _Stitch(_Body, frozen=True):
 class PlaybackCommand(_Body, frozen=True):
     """A ``req/replay`` command to a playing recording; None leaves a setting unchanged.
 
-    `step` and `back` show the next or previous frame and then pause; `seek_s` jumps to this time after the first frame;
-    `speed` is a multiple of the recording's pace.
+    `step` and `back` show the next or previous frame and then pause; `seek_s` jumps to this time
+    after the first frame; `speed` is a multiple of the recording's pace.
     """
 
     paused: bool | None = None
@@ -97,8 +97,9 @@ _BODIES: Final[dict[Verb, Any]] = {
 class Request:
     """One command from ``req/<verb>``; fields that its verb does not have are empty.
 
-    The reply echoes `transaction` and MQTT 5's `correlation`; `response_topic`, ``res/...`` below the sensor's topics,
-    replaces ``res/<verb>``. Without a `name`, the daemon names the recording or session itself.
+    The reply echoes `transaction` and MQTT 5's `correlation`; `response_topic`, ``res/...`` below
+    the sensor's topics, replaces ``res/<verb>``. Without a `name`, the daemon names the recording
+    or session itself.
     """
 
     verb: Verb
@@ -123,11 +124,15 @@ def parse_request(
 ) -> Request:
     """Decode the payload of ``req/<verb>``; an empty one means ``{}``.
 
-    Raises DecodeError for an unknown verb, no JSON, an unknown or missing key, a wrong type or more than 4096 bytes.
+    Raises DecodeError for an unknown verb, no JSON, an unknown or missing key,
+    a wrong type or more than 4096 bytes.
     """
     known = next((v for v in _BODIES if v == verb), None)
     if known is None:
-        found = f"req/{escaped(verb, _ERROR_CHARS_MAX)}: found an unknown verb, expected one of {', '.join(_BODIES)}"
+        found = (
+            f"req/{escaped(verb, _ERROR_CHARS_MAX)}: found an unknown verb, expected one of "
+            f"{', '.join(_BODIES)}"
+        )
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     if len(payload) > REQUEST_BYTES_MAX:
         found = f"req/{verb}: found {len(payload)} bytes, expected at most {REQUEST_BYTES_MAX}"
@@ -135,7 +140,10 @@ def parse_request(
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        found = f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the keys in docs/reference/mqtt.md"
+        found = (
+            f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the keys in "
+            "docs/reference/mqtt.md"
+        )
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST) from error
     fields = {name: value for name, value in asdict(body).items() if value is not None}
     if tag := body.__struct_config__.tag:
@@ -146,7 +154,9 @@ def parse_request(
 
 
 def parse_transaction(payload: bytes) -> str | int | None:
-    """The ``transaction`` of a request that `parse_request` rejected, for the error to echo; None if there is none."""
+    """The ``transaction`` of a request that `parse_request` rejected, for the error to echo;
+    None if there is none.
+    """
     try:
         return msgspec.json.decode(payload[:REQUEST_BYTES_MAX], type=_Echo).transaction
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
@@ -154,7 +164,8 @@ def parse_transaction(payload: bytes) -> str | int | None:
 
 
 def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | Reason) -> bytes:
-    """The reply to a request: ``{"transaction", "ok": true, "result": {...}}``, or that of `encode_error`.
+    """The reply to a request: ``{"transaction", "ok": true, "result":
+    {...}}``, or that of `encode_error`.
 
     The error of ``stitch`` begins with the serial line's word for its code.
     """
@@ -168,7 +179,9 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
 
 
 def encode_error(transaction: str | int | None, reason: Reason) -> bytes:
-    """The reply to a request that failed: ``{"transaction", "ok": false, "error": "one line", "reason_code"}``."""
+    """The reply to a request that failed: ``{"transaction", "ok": false, "error":
+    "one line", "reason_code"}``.
+    """
     return encode_json(
         {"transaction": transaction, "ok": False, "error": reason.text, "reason_code": reason.code}
     )

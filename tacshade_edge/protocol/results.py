@@ -1,4 +1,6 @@
-"""The results of commands, one type each, with the figures that ``res/<verb>`` and the robot's line report."""
+"""The results of commands, one type each, with the figures that ``res/<verb>``
+and the robot's line report.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ class ProfileChosen(_Result, frozen=True):
 
 
 class ReferenceTaken(_Result, frozen=True):
-    """Result of ``req/reference`` and ``REFERENCE``: the mean of `frames` images, their RMS of g in grey levels."""
+    """Result of ``req/reference`` and ``REFERENCE``:
+    the mean of `frames` images, their RMS of g in grey levels.
+    """
 
     frames: int
     calibration_crc32: int
@@ -43,7 +47,9 @@ class SessionBegun(_Result, frozen=True):
 
 
 class PressAdded(_Result, frozen=True):
-    """The frame numbered `frame` has been stored on disk and added to the map as a press, numbered from 1."""
+    """The frame numbered `frame` has been stored on disk and added to the map as a press,
+    numbered from 1.
+    """
 
     press: int
     frame: int
@@ -103,15 +109,19 @@ RequestResult = ProfileChosen | ReferenceTaken | SessionResult
 
 
 class ClockRead(_Result, frozen=True):
-    """Result of ``SYNC``: when it arrived and when this reply is sent, in ns of the daemon's clock."""
+    """Result of ``SYNC``: when it arrived and when this reply is sent,
+    in ns of the daemon's clock.
+    """
 
     t2_ns: int
     t3_ns: int
 
 
 class FrameCaptured(_Result, frozen=True):
-    """Result of ``CAPTURE``: one reconstruction. `pose_error_us` is None if the frame has no pose; depth and area are
-    None if the frame is `touched`: something touches, but its depth is unknown.
+    """Result of ``CAPTURE``: one reconstruction.
+
+    `pose_error_us` is None if the frame has no pose; depth and area are None if the frame is
+    `touched`: something touches, but its depth is unknown.
     """
 
     frame: int
@@ -138,7 +148,9 @@ class FrameCaptured(_Result, frozen=True):
 
 
 class LineStatus(_Result, frozen=True):
-    """Result of ``STATUS``: the camera's state and rate in 1/s, the clock's accuracy, and the counts of the line."""
+    """Result of ``STATUS``: the camera's state and rate in 1/s, the clock's accuracy,
+    and the counts of the line.
+    """
 
     camera: str
     fps: float

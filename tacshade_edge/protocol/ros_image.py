@@ -1,4 +1,6 @@
-"""Decode the images in ROS 2 bags: ``sensor_msgs/msg/Image`` and ``CompressedImage`` in CDR (XCDR1)."""
+"""Decode the images in ROS 2 bags: ``sensor_msgs/msg/Image`` and ``CompressedImage`` in CDR
+(XCDR1).
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,15 @@ def decode_compressed_image(payload: bytes) -> bytes:
 
 
 class _Cursor:
-    """Reads the values after a ``std_msgs/Header``, each aligned to its own size, counted from the end of the
-    encapsulation (DDSI-RTPS 10, XCDR1).
+    """Reads the values after a ``std_msgs/Header``, each aligned to its own size, counted from the
+    end of the encapsulation (DDSI-RTPS 10, XCDR1).
     """
 
     def __init__(self, payload: bytes) -> None:
         if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] > 1:
             raise DecodeError(
-                f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, expected a CDR header"
+                f"found {payload[:4].hex() or 'nothing'} at the start of a ROS 2 message, "
+                "expected a CDR header"
             )
         self._u32 = struct.Struct("<I" if payload[1] == 1 else ">I")
         self._payload, self._at = (

@@ -1,6 +1,8 @@
-"""What sensors and hands publish: the type of each topic's JSON, with its bounds, and the table of all topics.
+"""What sensors and hands publish: the type of each topic's JSON, with its bounds,
+and the table of all topics.
 
-Daemons fill in these types, and subscribers decode them; anything that no daemon publishes is rejected.
+Daemons fill in these types, and subscribers decode them;
+anything that no daemon publishes is rejected.
 """
 
 from __future__ import annotations
@@ -38,12 +40,15 @@ _Slip = Annotated[int, Meta(ge=0, le=2)]  # stick, partial, full
 _Px = Annotated[float, Meta(ge=-1e5, le=1e5)]
 _SizePx = Annotated[int, Meta(ge=1, le=65535)]
 
-# -- of a sensor ------------------------------------------------------------------------------------------------------
+# -- of a sensor -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoGeometry:
-    """The geometry that converts pixels to mm. A pad has neither `skin_radius_mm` nor `visible_half_angle_deg`."""
+    """The geometry that converts pixels to mm.
+
+    A pad has neither `skin_radius_mm` nor `visible_half_angle_deg`.
+    """
 
     skin: Skin = "dome"
     skin_radius_mm: Annotated[float, Meta(ge=0.1, le=1e4)] | None
@@ -83,11 +88,12 @@ class InfoGeometry:
 class Info:
     """``info``: what a subscriber needs to place every pixel of ``height`` in mm.
 
-    `geometry` is None without a calibration; `reason` and its code then give the reason. `profiles` are the names that
-    ``req/profile`` accepts, and `choice` is the chosen one of them. `reference` is where the reference started and how
-    far it may follow from there; None if it does not follow. `fitted` are the profiles whose networks were fitted to
-    this sensor. `hand_id` names the hand that the sensor is a finger of, and `hand_T_sensor` (x, y, z in mm, quaternion
-    w, x, y, z) is the sensor's pose in it; both are None without a hand.
+    `geometry` is None without a calibration; `reason` and its code then give the reason. `profiles`
+    are the names that ``req/profile`` accepts, and `choice` is the chosen one of them. `reference`
+    is where the reference started and how far it may follow from there; None if it does not follow.
+    `fitted` are the profiles whose networks were fitted to this sensor. `hand_id` names the hand
+    that the sensor is a finger of, and `hand_T_sensor` (x, y, z in mm, quaternion w, x, y, z) is
+    the sensor's pose in it; both are None without a hand.
     """
 
     version: str = ""
@@ -111,13 +117,15 @@ class Info:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """``contact``: flat numbers, None if nothing touches or it is not computed, and codes, empty if all is well.
+    """``contact``: flat numbers, None if nothing touches or it is not computed, and codes,
+    empty if all is well.
 
-    `contact` is 0 or 1, `objects` the number of objects, `area_mm2` their total area; `x_mm` and `y_mm` are the
-    centroid of the largest object. `touched` is 1 if something touches but its depth is unknown: `contact` is then 0,
-    and depth, area and volume are None. Shear, twist and slip (0 stick, 1 partial, 2 full) each come from the object
-    with the largest value. `fps` is the delivery rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the
-    daemon's monotonic clock and in Unix time.
+    `contact` is 0 or 1, `objects` the number of objects, `area_mm2` their total area; `x_mm` and
+    `y_mm` are the centroid of the largest object. `touched` is 1 if something touches but its depth
+    is unknown: `contact` is then 0, and depth, area and volume are None. Shear, twist and slip (0
+    stick, 1 partial, 2 full) each come from the object with the largest value. `fps` is the
+    delivery rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's monotonic clock
+    and in Unix time.
     """
 
     t_ns: Count
@@ -143,7 +151,8 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchNumbers:
-    """``touch``: each quantity and its standard deviation, in the unit of its name, and why some or all are unknown.
+    """``touch``: each quantity and its standard deviation, in the unit of its name,
+    and why some or all are unknown.
 
     Both mappings have the same names, and are None without contact.
     """
@@ -163,7 +172,9 @@ class TouchNumbers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipEvent:
-    """``event/slip``: the object `id` began to slide at x, y in the sensor frame, this fast over the skin."""
+    """``event/slip``: the object `id` began to slide at x, y in the sensor frame,
+    this fast over the skin.
+    """
 
     t_ns: Count
     seq: Count
@@ -175,7 +186,9 @@ class SlipEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectEvent:
-    """``event/object``: the object `label` of the frame is the taught object `name`, this probably."""
+    """``event/object``: the object `label` of the frame is the taught object `name`,
+    this probably.
+    """
 
     name: _Key
     probability: Annotated[float, Meta(ge=0, le=1)]
@@ -187,10 +200,11 @@ class ObjectEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactEvent:
-    """``event/contact``: contact `id` has begun (``new``), goes on (``update``, once a second) or has ended.
+    """``event/contact``: contact `id` has begun (``new``), goes on (``update``,
+    once a second) or has ended.
 
-    The values are the greatest since `start_ns`: of depth, volume, length of the mean shear, slip and number of
-    objects. They are None while none is known.
+    The values are the greatest since `start_ns`: of depth, volume, length of the mean shear, slip
+    and number of objects. They are None while none is known.
     """
 
     type: Literal["new", "update", "end"]
@@ -216,7 +230,9 @@ class Percentiles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """``health`` of a sensor: the counts and measures that every sensor has; the rest is for people."""
+    """``health`` of a sensor: the counts and measures that every sensor has;
+    the rest is for people.
+    """
 
     uptime_s: _Rate
     frames: _Counts
@@ -236,11 +252,12 @@ class Health:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StitchedMap:
-    """``map/revision`` and ``map/final``: extent along x and y of the base frame, range of heights, and points.
+    """``map/revision`` and ``map/final``: extent along x and y of the base frame, range of heights,
+    and points.
 
-    `revision` counts the presses and the end; `used` is the number of presses in the map, `points` that of points in
-    ``map/cloud``, `spacing_mm` apart. An empty map has no heights. `folder` holds the final map's files on the daemon's
-    machine; it is empty before the end.
+    `revision` counts the presses and the end; `used` is the number of presses in the map, `points`
+    that of points in ``map/cloud``, `spacing_mm` apart. An empty map has no heights. `folder` holds
+    the final map's files on the daemon's machine; it is empty before the end.
     """
 
     name: str
@@ -268,14 +285,16 @@ class Status:
     reason_code: _Code | None = ""
 
 
-# -- of a hand: lengths in mm, vectors along the hand's axes ----------------------------------------------------------
+# -- of a hand: lengths in mm, vectors along the hand's axes ---------------------------------------
 
 FingerState = Literal["contact", "free", "away"]
 _Value = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Triple = tuple[_Value, _Value, _Value]
 
 OBJECTS_MAX: Final = 16
-"""Only a finger's largest objects are sent: five fingers publish at most 29 kB, and as much again with motions."""
+"""Only a finger's largest objects are sent: five fingers publish at most 29 kB,
+and as much again with motions.
+"""
 FINGERS_MAX: Final = 32
 
 
@@ -292,12 +311,14 @@ class Unobservable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """The motion of the held object since the grasp: a point at p has moved to R (p - about) + about + translation.
+    """The motion of the held object since the grasp:
+    a point at p has moved to R (p - about) + about + translation.
 
-    `since_ns` is the capture time of the frame in which the hand grasped the object, `about_mm` a point amid the
-    fingers' patches, `rotation_deg` the rotation vector of R, `covariance` 6x6, row by row, of `translation_mm` and of
-    a small rotation in degrees applied after R. `unobservable` motions are 0 in the estimate and large in the
-    covariance. The object slips over the fingers in `left_out`.
+    `since_ns` is the capture time of the frame in which the hand grasped the object, `about_mm` a
+    point amid the fingers' patches, `rotation_deg` the rotation vector of R, `covariance` 6x6, row
+    by row, of `translation_mm` and of a small rotation in degrees applied after R. `unobservable`
+    motions are 0 in the estimate and large in the covariance. The object slips over the fingers in
+    `left_out`.
     """
 
     since_ns: Count
@@ -313,11 +334,12 @@ class Motion:
 class HandObject:
     """An object that a finger touches; all lengths in mm, all vectors along the hand's axes.
 
-    `id` stays while this finger touches the object. `centroid_mm` and `extent_mm` are the mean, and max - min, of the
-    skin points that touch it, `normal` the unit normal of the plane through them, away from the finger's camera.
-    `shear_mm` is the mean shear of the skin under the object, in the finger's x, y plane, `twist_deg` the twist about
-    the finger's z axis, `slip` 0 stick, 1 partial, 2 full; each is None if not reported. `motion` is that of the object
-    that the whole hand holds; None if no shear is reported, and from a finger to its hand.
+    `id` stays while this finger touches the object. `centroid_mm` and `extent_mm` are the mean, and
+    max - min, of the skin points that touch it, `normal` the unit normal of the plane through them,
+    away from the finger's camera. `shear_mm` is the mean shear of the skin under the object, in the
+    finger's x, y plane, `twist_deg` the twist about the finger's z axis, `slip` 0 stick, 1 partial,
+    2 full; each is None if not reported. `motion` is that of the object that the whole hand holds;
+    None if no shear is reported, and from a finger to its hand.
     """
 
     id: int | None
@@ -337,12 +359,13 @@ class HandObject:
 class Finger:
     """A finger's latest report.
 
-    `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. `touched`: something touches, but its depth
-    is unknown; `state` is then ``free``, and there are no objects. The codes are those of
-    `reasons.ReasonCode`, empty when all is well. `t_ns` is the capture time of its frame, on the clock that all fingers
-    share, `seq` its number, `age_ms` its age when the hand published it, `axis` the finger's z axis: shear is
-    perpendicular to it, twist is about it. These are None if the report is not from a frame. `objects` are the largest
-    first, at most `OBJECTS_MAX`.
+    `state` is ``contact``, ``free``, or ``away``: its contacts are unknown. `touched`: something
+    touches, but its depth is unknown; `state` is then ``free``, and there are no objects. The codes
+    are those of `reasons.ReasonCode`, empty when all is well. `t_ns` is the capture time of its
+    frame, on the clock that all fingers share, `seq` its number, `age_ms` its age when the hand
+    published it, `axis` the finger's z axis: shear is perpendicular to it, twist is about it. These
+    are None if the report is not from a frame. `objects` are the largest first, at most
+    `OBJECTS_MAX`.
     """
 
     state: FingerState
@@ -358,10 +381,11 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandObjects:
-    """One ``objects`` message: every finger of the hand, by sensor id, in the order of the settings.
+    """One ``objects`` message: every finger of the hand, by sensor id,
+    in the order of the settings.
 
-    `t_ns` and `wall_ns` are when it was assembled, on the fingers' clock and in Unix time; `seq` counts from 0 since
-    the hand's process started.
+    `t_ns` and `wall_ns` are when it was assembled, on the fingers' clock and in Unix time; `seq`
+    counts from 0 since the hand's process started.
     """
 
     t_ns: Count
@@ -371,7 +395,9 @@ class HandObjects:
 
     @property
     def motion(self) -> Motion | None:
-        """Motion of the object that the hand holds; None if no finger that touches it reports shear."""
+        """Motion of the object that the hand holds; None if no finger
+        that touches it reports shear.
+        """
         found = (
             o.motion
             for finger in self.fingers.values()
@@ -383,7 +409,9 @@ class HandObjects:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandHealth:
-    """``health`` of a hand: how many messages of each finger it received, and how many were damaged."""
+    """``health`` of a hand: how many messages of each finger it received,
+    and how many were damaged.
+    """
 
     wall_ns: Count = 0
     uptime_s: _Rate
@@ -392,7 +420,7 @@ class HandHealth:
     mqtt: _Counts
 
 
-# -- the topics -------------------------------------------------------------------------------------------------------
+# -- the topics ------------------------------------------------------------------------------------
 
 _JSON: Final = "application/json"
 _JPEG: Final = b"\xff\xd8"
@@ -403,7 +431,8 @@ PREVIEW_BYTES_MAX: Final = 1 << 20
 class Topic:
     """How to decode a topic's payload, and its MQTT 5 content type.
 
-    `newest_wins` states whether only the newest of its messages is of use, so that a reader need not keep more.
+    `newest_wins` states whether only the newest of its messages is of use,
+    so that a reader need not keep more.
     """
 
     decode: Callable[[str, bytes], Any]

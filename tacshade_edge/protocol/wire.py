@@ -1,4 +1,6 @@
-"""Encode a reconstruction's `height`, `cloud`, `shear` and `sigma`; `wire_format` has the layout."""
+"""Encode a reconstruction's `height`, `cloud`, `shear` and `sigma`;
+`wire_format` has the layout.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ _OUTSIDE = np.float32(wire_format.OUTSIDE)
 
 
 class Taken(TypedDict, total=False):
-    """What else the header states of a frame: its calibration, and the robot's pose with the error of its time."""
+    """What else the header states of a frame: its calibration,
+    and the robot's pose with the error of its time.
+    """
 
     calibration_crc32: Required[int]
     pose: Pose | None
@@ -40,14 +44,18 @@ class Taken(TypedDict, total=False):
 
 
 def encode_height(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
-    """The ``height`` payload of a reconstruction: values rounded to the nearest 0.001 mm and clamped to ±32.767 mm,
-    infinities too; NaN becomes -32768. Raises ValueError for a grid of more than 65535 rows or columns.
+    """The ``height`` payload of a reconstruction: values rounded to the nearest 0.001 mm and
+    clamped to ±32.767 mm, infinities too; NaN becomes -32768.
+
+    Raises ValueError for a grid of more than 65535 rows or columns.
     """
     return _pack_grid(1, result, result.height.height_mm, taken)
 
 
 def encode_shear(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
-    """The ``shear`` payload of a reconstruction with shear: x, y of each cell, encoded like heights."""
+    """The ``shear`` payload of a reconstruction with shear:
+    x, y of each cell, encoded like heights.
+    """
     assert result.shear_mm is not None
     return _pack_grid(3, result, result.shear_mm, taken)
 
@@ -68,7 +76,9 @@ def encode_cloud(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
 def encode_map_cloud(
     points_mm: F32, *, revision: int, calibration_crc32: int, t_ns: int, wall_ns: int
 ) -> bytes:
-    """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame, with the revision as its sequence."""
+    """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame,
+    with the revision as its sequence.
+    """
     flags = dict.fromkeys(("invalid", "saturated", "degraded", "touched"), False)
     flags["contact"] = True
     times = {

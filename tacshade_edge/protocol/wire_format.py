@@ -1,7 +1,9 @@
-"""The binary payloads ``height``, ``cloud``, ``shear`` and ``sigma``: a 96-byte little-endian header and data.
+"""The binary payloads ``height``, ``cloud``, ``shear`` and ``sigma``:
+a 96-byte little-endian header and data.
 
-docs/reference/mqtt/frames.md defines the layout, a promise to subscribers: it may only grow. Therefore the decoder
-ignores unknown flag bits and reserved bytes and rejects everything else unknown.
+docs/reference/mqtt/frames.md defines the layout, a promise to subscribers: it may only grow.
+Therefore the decoder ignores unknown flag bits and reserved bytes and rejects everything else
+unknown.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96
 OUTSIDE: Final = -32768
 CELLS_MAX: Final = 1 << 22
-"""Most cells of a decoded grid, or points of a cloud: a disc of 2048 px with a cell for each pixel."""
+"""Most cells of a decoded grid, or points of a cloud:
+a disc of 2048 px with a cell for each pixel.
+"""
 PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
 """Size of the largest payload, a cloud of `CELLS_MAX` points."""
 _PX_MAX, _MM_MAX = 1e5, 1e7
@@ -37,7 +41,8 @@ _RAW: Final = 0
 _FLAGS: Final = {"contact": 1, "invalid": 2, "saturated": 4, "degraded": 8, "touched": 32}
 _POSE: Final = 16
 
-# magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale | pose | payload bytes
+# magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale |
+# pose | payload bytes
 HEAD: Final = struct.Struct("<4s4B IIQQ 2H 4f I7f I")
 _CHECK: Final = struct.Struct("<II")
 _POINT_BYTES, _LABEL_BYTES = 12, 2
@@ -47,10 +52,11 @@ _POINT_BYTES, _LABEL_BYTES = 12, 2
 class _Message:
     """The fields of every kind.
 
-    `seq` is the frame number modulo 2^32; `t_ns` and `wall_ns` are the capture time, on the sender's CLOCK_MONOTONIC
-    and in Unix time. The reasons of the flags are in ``health`` and ``status/camera``. `pose` is ``base_T_flange`` at
-    `t_ns`, and `pose_error_us` the uncertainty of its time, 0 without a pose. `touched`: something touches, but its
-    depth is unknown; `contact` is then False.
+    `seq` is the frame number modulo 2^32; `t_ns` and `wall_ns` are the capture time, on the
+    sender's CLOCK_MONOTONIC and in Unix time. The reasons of the flags are in ``health`` and
+    ``status/camera``. `pose` is ``base_T_flange`` at `t_ns`, and `pose_error_us` the uncertainty of
+    its time, 0 without a pose. `touched`: something touches, but its depth is unknown; `contact` is
+    then False.
     """
 
     seq: int
@@ -68,7 +74,9 @@ class _Message:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GridMessage(_Message):
-    """The grid of the kinds with a value per cell: cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px)."""
+    """The grid of the kinds with a value per cell:
+    cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
+    """
 
     row0: float
     col0: float
@@ -77,8 +85,8 @@ class _GridMessage(_Message):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMessage(_GridMessage):
-    """A decoded ``height``: `height_mm`, read-only float32 (rows, cols), is the radial deformation, positive inwards,
-    in steps of the scale; NaN outside the disc.
+    """A decoded ``height``: `height_mm`, read-only float32 (rows, cols), is the radial deformation,
+    positive inwards, in steps of the scale; NaN outside the disc.
     """
 
     height_mm: F32
@@ -86,8 +94,8 @@ class HeightMessage(_GridMessage):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudMessage(_Message):
-    """A decoded ``cloud``: `points_mm`, read-only float32 (N, 3), are x, y, z in the sensor frame; `labels`, read-only
-    uint16 (N,), are the object number of each point, from 1.
+    """A decoded ``cloud``: `points_mm`, read-only float32 (N, 3), are x, y, z in the sensor frame;
+    `labels`, read-only uint16 (N,), are the object number of each point, from 1.
     """
 
     points_mm: F32
@@ -96,8 +104,8 @@ class CloudMessage(_Message):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearMessage(_GridMessage):
-    """A decoded ``shear``: `shear_mm`, read-only float32 (rows, cols, 2), is the shear of the skin along x and y, in
-    steps of the scale; NaN outside the disc.
+    """A decoded ``shear``: `shear_mm`, read-only float32 (rows, cols, 2), is the shear of the skin
+    along x and y, in steps of the scale; NaN outside the disc.
     """
 
     shear_mm: F32
@@ -105,8 +113,8 @@ class ShearMessage(_GridMessage):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SigmaMessage(_GridMessage):
-    """A decoded ``sigma``: `sigma_mm`, read-only float32 (rows, cols), is the standard deviation of the height, in
-    steps of the scale; NaN where nothing touches.
+    """A decoded ``sigma``: `sigma_mm`, read-only float32 (rows, cols), is the standard deviation of
+    the height, in steps of the scale; NaN where nothing touches.
     """
 
     sigma_mm: F32
@@ -125,8 +133,9 @@ _GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage],
 def pack(
     kind: int, shape: tuple[int, int], grid: tuple[float, float, float], data: bytes, **fields: Any
 ) -> bytes:
-    """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud), data, and the fields
-    of every kind; `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
+    """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud),
+    data, and the fields of every kind; `seq`, `calibration_crc32` and `pose_error_us` need not fit
+    in 32 bits.
     """
     pose: Pose | None = fields["pose"]
     flags = _POSE * (pose is not None)
@@ -155,8 +164,9 @@ def pack(
 def decode(data: bytes | bytearray | memoryview) -> Message:
     """Decode one ``height``, ``cloud``, ``shear`` or ``sigma`` payload; the result owns its arrays.
 
-    Raises DecodeError if the payload is too short, has an unknown magic, version, kind or codec, a wrong length or CRC,
-    more than `CELLS_MAX` cells or points, or a number that no sensor, robot or object has.
+    Raises DecodeError if the payload is too short, has an unknown magic, version, kind or codec, a
+    wrong length or CRC, more than `CELLS_MAX` cells or points, or a number that no sensor, robot or
+    object has.
     """
     data = bytes(data)
     kind, rows, cols = _check(data)
@@ -198,7 +208,10 @@ def _refuse(byte: str, found: str, expected: str) -> NoReturn:
 
 
 def _check(data: bytes) -> tuple[int, int, int]:
-    """Check a payload's header, length and CRC; return its kind, rows and cols. Raises DecodeError."""
+    """Check a payload's header, length and CRC; return its kind, rows and cols.
+
+    Raises DecodeError.
+    """
     if len(data) < HEADER_BYTES:
         _refuse("", f"{len(data)} bytes", f"at least {HEADER_BYTES} (the header)")
     magic, version, kind, codec, _, _, _, _, _, rows, cols, *_, stated = HEAD.unpack_from(data)

@@ -1,4 +1,6 @@
-"""Strict settings: reads a YAML file as frozen `Settings`, or says in one line what is wrong and where."""
+"""Strict settings: reads a YAML file as frozen `Settings`,
+or says in one line what is wrong and where.
+"""
 
 from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml
 from tacshade_edge.settings.model import (

@@ -1,7 +1,8 @@
 """Loads a settings file as `Settings` and reports a mistake with its line.
 
-A file may have several sensors: keys outside ``sensors`` apply to all, keys in a sensor to that one. With ``hand_id``
-next to ``sensors`` they are the fingers of a hand, and each has its ``hand_T_sensor``.
+A file may have several sensors: keys outside ``sensors`` apply to all, keys in a sensor to that
+one. With ``hand_id`` next to ``sensors`` they are the fingers of a hand, and each has its
+``hand_T_sensor``.
 
 ::
 
@@ -9,7 +10,10 @@ next to ``sensors`` they are the fingers of a hand, and each has its ``hand_T_se
     profile: balanced
     sensors:
       left-thumb: {calibration: thumb.npz, source: {kind: v4l2, device: /dev/v4l/by-id/thumb}}
-      left-index: {calibration: index.npz, source: {kind: v4l2, device: /dev/v4l/by-id/index}, profile: fast}
+      left-index:
+        calibration: index.npz
+        source: {kind: v4l2, device: /dev/v4l/by-id/index}
+        profile: fast
 """
 
 from __future__ import annotations
@@ -49,7 +53,10 @@ _V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A valid settings file, with absolute paths. `found`: each given key's place; `several`: it has ``sensors``."""
+    """A valid settings file, with absolute paths.
+
+    `found`: each given key's place; `several`: it has ``sensors``.
+    """
 
     path: Path
     settings: Settings
@@ -63,8 +70,8 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """The hand that a file's sensors form; `common` are the settings outside ``sensors``: the broker, as the hand logs
-    in.
+    """The hand that a file's sensors form; `common` are the settings outside ``sensors``: the
+    broker, as the hand logs in.
     """
 
     common: Document
@@ -73,7 +80,9 @@ class Hand:
 
 
 def load(path: Path, sensor_id: str | None = None) -> Document:
-    """Read and check a settings file and return one sensor's document; without `sensor_id` there must be only one.
+    """Read and check a settings file and return one sensor's document;
+    without `sensor_id` there must be only one.
+
     Raises ConfigError, ``FILE:LINE: path.to.key: found …, expected …``, for the first mistake.
     """
     documents = load_all(path)
@@ -110,7 +119,10 @@ def _document(file: YamlFile, several: bool) -> Document:
 
 
 def load_hand(path: Path) -> Hand | None:
-    """Read the hand that a settings file names, or None if it names none. Raises ConfigError like `load`."""
+    """Read the hand that a settings file names, or None if it names none.
+
+    Raises ConfigError like `load`.
+    """
     fingers = tuple(document.settings.sensor_id for document in load_all(path))
     file = strict_yaml.read(path)
     kept = {key: file.value[key] for key in (HAND, "mqtt") if file.value.get(key) is not None}
@@ -123,7 +135,9 @@ def load_hand(path: Path) -> Hand | None:
 
 
 def _check_hand(file: YamlFile, settings: Settings, several: bool) -> None:
-    """Check that a finger belongs to a hand and has its place in it, and that a hand has several sensors."""
+    """Check that a finger belongs to a hand and has its place in it,
+    and that a hand has several sensors.
+    """
     if settings.hand_id is not None and not several:
         raise file.error((HAND,), f"found {settings.hand_id}, expected it beside {SENSORS} only")
     if settings.hand_T_sensor is None:
@@ -151,7 +165,9 @@ def _check_size(file: YamlFile, source: Source) -> None:
 
 
 def _check_exposure(file: YamlFile, source: Source) -> None:
-    """Refuse an exposure that does not fit into the frame period, which slows the camera down without notice."""
+    """Refuse an exposure that does not fit into the frame period,
+    which slows the camera down without notice.
+    """
     if isinstance(source, Rpicam):
         name, value, unit_us = "exposure_us", source.exposure_us, 1
     elif isinstance(source, V4l2) and source.exposure is not None:
@@ -160,7 +176,10 @@ def _check_exposure(file: YamlFile, source: Source) -> None:
         return
     most = (1_000_000 - 1) // (source.fps * unit_us)
     if value > most:
-        expected = f"expected at most {most}, because a frame takes {1e6 / source.fps:.0f} µs at {source.fps} frames/s"
+        expected = (
+            f"expected at most {most}, because a frame takes {1e6 / source.fps:.0f} µs at "
+            f"{source.fps} frames/s"
+        )
         raise file.error(("source", name), f"found {value}, {expected}")
 
 
@@ -196,7 +215,10 @@ def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
         value = value[name]
     if not isinstance(value, dict):
         named = f"{dotted(at)}: " if at else ""
-        text = f"{file.path}:{file.found[at].line}: {named}found {file.found[at].text}, expected a mapping of settings"
+        text = (
+            f"{file.path}:{file.found[at].line}: {named}found {file.found[at].text}, expected a "
+            "mapping of settings"
+        )
         raise ConfigError(text)
     try:
         return msgspec.convert(value, kind)
@@ -208,7 +230,9 @@ def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
 def _explained(
     message: str, value: dict[str, Any], found: dict[Key, Found], at: Key, root: dict[str, Any]
 ) -> tuple[Key, str]:
-    """The key and the problem of one msgspec error, which names a JSON path below `at` and one field."""
+    """The key and the problem of one msgspec error,
+    which names a JSON path below `at` and one field.
+    """
     path = re.search(r" - at `\$\.?([^`]*)`$", message)
     key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
     if unknown := re.match(
@@ -216,7 +240,10 @@ def _explained(
     ):
         given, schema = _at(key, value, root)
         names = list(_option(schema, given, root)["properties"])
-        text = f"found an unknown key, expected one of {', '.join(names)}{did_you_mean(unknown[1], names)}"
+        text = (
+            "found an unknown key, expected one of "
+            f"{', '.join(names)}{did_you_mean(unknown[1], names)}"
+        )
         return (*at, *key, unknown[1]), text
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         key = (*key, missing[1])
@@ -237,7 +264,9 @@ def _at(key: Key, value: Any, root: dict[str, Any]) -> tuple[Any, dict[str, Any]
 
 
 def _option(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """The alternative of `schema` for a mapping or list; a tag chooses the struct, and if wrong is all there is."""
+    """The alternative of `schema` for a mapping or list;
+    a tag chooses the struct, and if wrong is all there is.
+    """
     options: list[dict[str, Any]]
     options = [
         root["$defs"][o["$ref"].rpartition("/")[2]] if "$ref" in o else o
@@ -284,7 +313,9 @@ SENSORS_MAX = 16
 
 
 def _split(file: YamlFile) -> Iterator[YamlFile]:
-    """Split a file into one per sensor, each like a file of that sensor alone; check what concerns several."""
+    """Split a file into one per sensor, each like a file of that sensor alone;
+    check what concerns several.
+    """
     sensors, found = file.value[SENSORS], file.found
     if not isinstance(sensors, dict) or not 1 <= len(sensors) <= SENSORS_MAX:
         count = len(sensors) if isinstance(sensors, dict) else found[(SENSORS,)].text
@@ -324,7 +355,9 @@ def _split(file: YamlFile) -> Iterator[YamlFile]:
 
 
 def _over(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The common settings overridden by a sensor's own, key by key within a section that both have."""
+    """The common settings overridden by a sensor's own,
+    key by key within a section that both have.
+    """
     both = {
         key: {**common[key], **own[key]}
         for key in common.keys() & own.keys()
@@ -364,7 +397,9 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
 
 
 def _own_folders(settings: Settings, found: dict[Key, Found]) -> Settings:
-    """Put a sensor's folders below the common ones, named by its id, unless the sensor names its own."""
+    """Put a sensor's folders below the common ones, named by its id,
+    unless the sensor names its own.
+    """
     changed = {}
     for section in ("recorder", "stitching"):
         where = found.get((section, "folder"))

@@ -1,4 +1,6 @@
-"""Every setting with its type, range, default and meaning; ``config/default.yaml`` shows them to people."""
+"""Every setting with its type, range, default and meaning;
+``config/default.yaml`` shows them to people.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ _PLACE_MAX_MM: Final = 1e6
 
 
 def wrong_with(seven: Sequence[float]) -> str | None:
-    """The mistake in seven numbers that their type cannot find, ``found …, expected …``; None if there is none."""
+    """The mistake in seven numbers that their type cannot find, ``found …, expected …``;
+    None if there is none.
+    """
     away_mm = max(abs(value) for value in seven[:3])
     if away_mm > _PLACE_MAX_MM:
         return f"found a place {away_mm:g} mm away, expected one within {_PLACE_MAX_MM:g}"
@@ -33,7 +37,9 @@ def wrong_with(seven: Sequence[float]) -> str | None:
 
 
 RPICAM_MULTIPLE_PX = 64
-"""rpicam-vid does not report the length of a line, which equals a width that is a multiple of it."""
+"""rpicam-vid does not report the length of a line,
+which equals a width that is a multiple of it.
+"""
 
 
 class V4l2(
@@ -317,5 +323,7 @@ def _each(sensor: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(settings: Settings) -> str:
-    """The first 12 hex digits of the settings' SHA-256, which distinguish configurations in ``info``."""
+    """The first 12 hex digits of the settings' SHA-256,
+    which distinguish configurations in ``info``.
+    """
     return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

@@ -32,7 +32,9 @@ _Size = Annotated[float, Meta(gt=0, le=20)]
 
 
 class PrintSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The keys of `_SensorFile.print`, from the sensor's drawing; each overrules what ``calibrate --fit`` finds."""
+    """The keys of `_SensorFile.print`, from the sensor's drawing;
+    each overrules what ``calibrate --fit`` finds.
+    """
 
     pitch_mm: _Size | None = None
     pin_length_mm: _Size | None = None
@@ -67,7 +69,9 @@ class _SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class DomeFile(_SensorFile, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The keys of SENSOR.yaml for a dome, which states the half angle or the radius of its visible circle."""
+    """The keys of SENSOR.yaml for a dome, which states the half angle or the radius
+    of its visible circle.
+    """
 
     skin_radius_mm: Annotated[
         float, Meta(ge=1, le=10000, description="radius of the undeformed skin")
@@ -99,7 +103,10 @@ KINDS: Mapping[Skin, type[DomeFile | PadFile]] = {"dome": DomeFile, "pad": PadFi
 
 
 def check_value(key: str, text: str, skin: Skin = "dome") -> float | str:
-    """Check and return the value that a person typed for a key of SENSOR.yaml. Raises ConfigError."""
+    """Check and return the value that a person typed for a key of SENSOR.yaml.
+
+    Raises ConfigError.
+    """
     kind = KINDS[skin]
     kinds = {field.name: field.type for field in msgspec.structs.fields(kind)}
     try:

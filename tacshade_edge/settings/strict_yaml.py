@@ -1,4 +1,6 @@
-"""YAML without surprises: unique string keys, plain decimal numbers, no aliases or tags, and a line for every key."""
+"""YAML without surprises: unique string keys, plain decimal numbers, no aliases or tags,
+and a line for every key.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class YamlFile:
-    """A file's value, and the place of each key in it: list indices are keys too, and the whole value is ``()``."""
+    """A file's value, and the place of each key in it:
+    list indices are keys too, and the whole value is ``()``.
+    """
 
     path: Path
     value: Any
@@ -134,7 +138,10 @@ class _Loader(yaml.SafeLoader):
 
 
 def read(path: Path) -> YamlFile:
-    """Read a YAML file. Raises ConfigError, ``FILE:LINE: path.to.key: found …, expected …``, for the first mistake."""
+    """Read a YAML file.
+
+    Raises ConfigError, ``FILE:LINE: path.to.key: found …, expected …``, for the first mistake.
+    """
     try:
         data = read_regular(path, _BYTES_MAX)
     except OSError as error:

@@ -1,1 +1,3 @@
-"""Pure: a physical model of the sensor (skin mechanics, pins and markers, camera, objects, scenes)."""
+"""Pure: a physical model of the sensor (skin mechanics, pins and markers, camera, objects,
+scenes).
+"""

@@ -1,4 +1,6 @@
-"""Faults between a sensor and its image, as functions from image to image, uint8 (H, W) or (H, W, 3)."""
+"""Faults between a sensor and its image, as functions from image to image, uint8 (H, W) or (H, W,
+3).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from tacshade_edge.types import U8
 def uneven(
     image: U8, row_c: float, col_c: float, radius_px: float, loss: float, angle_deg: float
 ) -> U8:
-    """Dim one side, like an ageing LED of the ring: by `loss` (a ratio) at its rim, by nothing at the opposite rim."""
+    """Dim one side, like an ageing LED of the ring:
+    by `loss` (a ratio) at its rim, by nothing at the opposite rim.
+    """
     rows, cols = np.ogrid[: image.shape[0], : image.shape[1]]
     angle = np.radians(angle_deg)
     along = ((rows - row_c) * np.sin(angle) + (cols - col_c) * np.cos(angle)) / radius_px

@@ -1,13 +1,14 @@
 """Drag the skin along itself: a tangential contact problem on the skin's grid.
 
-The tangential displacement w of the membrane of `skin` minimises ∫ λt²|∇w|² + w² with a traction q = kt (w - λt²∇²w)
-where objects touch. There the skin sticks as far as Coulomb's law |q| <= μ p allows, with the pressure
-p = kn (h - λ²∇²h), and slides elsewhere: friction at a given pressure (Johnson, Contact Mechanics, 1985, ch. 7). For
-λt = λ, the traction is the difference of two such pressures (Ciavarella 1998; Jäger 1998).
+The tangential displacement w of the membrane of `skin` minimises ∫ λt²|∇w|² + w² with a traction
+q = kt (w - λt²∇²w) where objects touch. There the skin sticks as far as Coulomb's law |q| <= μ p
+allows, with the pressure p = kn (h - λ²∇²h), and slides elsewhere: friction at a given pressure
+(Johnson, Contact Mechanics, 1985, ch. 7). For λt = λ, the traction is the difference of two such
+pressures (Ciavarella 1998; Jäger 1998).
 
-The dome also leans like a short beam (`leant_mm`); skin and dome are springs in series. Full of gel, it keeps its
-volume and bulges around objects (`bulged_mm`). The problem is static: a contact that slid sticks again at once when the
-object turns back.
+The dome also leans like a short beam (`leant_mm`); skin and dome are springs in series. Full of
+gel, it keeps its volume and bulges around objects (`bulged_mm`). The problem is static: a contact
+that slid sticks again at once when the object turns back.
 """
 
 from __future__ import annotations
@@ -51,8 +52,9 @@ Shape = Callable[[F32 | None], Skin]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """The nodes (N,) of a grid in contact, each with the index of its press: w (N, 2) if it sticks, in mm of the chart;
-    chart coordinates (N, 2) of the undeformed skin at the x and y where the object touched it, before the drag; p / kn.
+    """The nodes (N,) of a grid in contact, each with the index of its press: w (N, 2) if it sticks,
+    in mm of the chart; chart coordinates (N, 2) of the undeformed skin at the x and y where the
+    object touched it, before the drag; p / kn.
     """
 
     rows: I64
@@ -67,9 +69,9 @@ class Contacts:
 class Mechanics:
     """How a skin yields along itself.
 
-    `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a sway (2,) in mm at
-    the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts, the grid's mass weights
-    (`skin.mass_weight`), its step and the model.
+    `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a
+    sway (2,) in mm at the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts,
+    the grid's mass weights (`skin.mass_weight`), its step and the model.
     """
 
     lean: Callable[[F64, F64], F64]
@@ -83,8 +85,9 @@ def drag_skin(
     mechanics: Mechanics | None = None,
     rest: Skin | None = None,
 ) -> Skin:
-    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem. `rest`, the unloaded skin
-    after creep, adds its lean and tangential displacement.
+    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem.
+
+    `rest`, the unloaded skin after creep, adds its lean and tangential displacement.
     """
     mechanics = mechanics or MEMBRANE
     if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
@@ -101,8 +104,9 @@ def drag_skin(
 
 
 def leant_mm(direction: F64, sway_mm: F64) -> F64:
-    """Displacement (..., 3) of the leaning dome's skin at unit vectors (..., 3), for a sway (2,) at the apex: the dome
-    shears from the rim up and turns by half as much, like a beam that is as long as it is wide.
+    """Displacement (..., 3) of the leaning dome's skin at unit vectors (..., 3), for a sway (2,) at
+    the apex: the dome shears from the rim up and turns by half as much, like a beam that is as long
+    as it is wide.
     """
     low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
     up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
@@ -123,7 +127,9 @@ def swayed_mm(points_mm: F64, sway_mm: F64, size_mm: float) -> F64:
 
 
 def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
-    """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3), by `volume_mm3` in total."""
+    """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3),
+    by `volume_mm3` in total.
+    """
     rim = math.radians(RIM_HALF_ANGLE_DEG)
     angle = np.minimum(np.arccos(np.clip(direction[..., 2], -1, 1)) / rim, 1)
     inner = np.linspace(0, rim, 200)
@@ -155,7 +161,9 @@ def _swaying(
     rest: Skin | None,
     sway_mm: F64,
 ) -> tuple[Skin, F64]:
-    """The skin of a dome that leans by `sway_mm`, and the mean further displacement by the contacts, (2,) mm."""
+    """The skin of a dome that leans by `sway_mm`, and the mean further displacement
+    by the contacts, (2,) mm.
+    """
     radius_mm, size_mm = model.form_mm
     direction = node_directions(radius_mm, size_mm).astype(np.float64)
     if math.isinf(radius_mm):
@@ -217,7 +225,9 @@ def _mean(vectors: F64) -> tuple[float, float]:
 def contact_nodes(
     skin: Skin, direction: F64, presses: Sequence[Press]
 ) -> tuple[I64, I64, I64, F64]:
-    """Every other node in contact: its row and column on that coarse grid, its press, and its point (N, 3) in mm."""
+    """Every other node in contact: its row and column on that coarse grid, its press,
+    and its point (N, 3) in mm.
+    """
     every = slice(None, None, _EVERY)
     pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
     rows, cols = np.nonzero(((obstacle > 0) & (pressed <= obstacle + _TOUCHING_MM))[every, every])
@@ -237,7 +247,8 @@ def _contacts(
     before = points[:, :2].copy()
     for k, press in enumerate(presses):
         before[owner == k] = press.before_drag(points[owner == k, :2])
-    # Skin that moves along -z with an object keeps its x and y, which therefore locate it on the undeformed skin.
+    # Skin that moves along -z with an object keeps its x and y,
+    # which therefore locate it on the undeformed skin.
     touched = _chart_over(before, skin.radius_mm)
     held = _chart_over(points[:, :2], skin.radius_mm) - touched
     held -= leant[every, every][rows, cols]
@@ -273,13 +284,14 @@ MEMBRANE = Mechanics(leant_mm, carry)
 
 
 def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
-    """The factor on displacements that keeps the skin from folding over itself, as between contacts that meet;
-    continuous, so that a long drag does not jump.
+    """The factor on displacements that keeps the skin from folding over itself, as between contacts
+    that meet; continuous, so that a long drag does not jump.
     """
     (xx, yx), (xy, yy) = (
         [np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0)
     )
-    # The area of a node's cell is 1 + part * trace + part² * determinant, and must be 1 - _STEEPEST at least.
+    # The area of a node's cell is 1 + part * trace + part² * determinant,
+    # and must be 1 - _STEEPEST at least.
     trace, determinant = xx + yy, xx * yy - xy * yx
     under = trace * trace - 4 * _STEEPEST * determinant
     steepest = float((np.sqrt(np.maximum(under, 0)) - trace)[under >= 0].max(initial=0))
@@ -287,7 +299,9 @@ def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
 
 
 def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
-    """Chart coordinates (N, 2) of the undeformed skin at x and y; beyond the skin, those of its equator."""
+    """Chart coordinates (N, 2) of the undeformed skin at x and y;
+    beyond the skin, those of its equator.
+    """
     if math.isinf(radius_mm):
         return x_y_mm
     rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
@@ -317,7 +331,9 @@ def two_scale_skin(
 
 
 def turned_mm(direction: F64, sway_mm: F64) -> F64:
-    """`Mechanics.lean` of a stiff tip on a soft base: the tip turns rigidly about O's height, above a soft ring."""
+    """`Mechanics.lean` of a stiff tip on a soft base:
+    the tip turns rigidly about O's height, above a soft ring.
+    """
     angle = np.clip((direction[..., 2] - _RIM) / (0.3 * (1 - _RIM)), 0, 1)
     along = direction[..., 2:] * sway_mm
     return np.asarray(
@@ -327,8 +343,9 @@ def turned_mm(direction: F64, sway_mm: F64) -> F64:
 
 
 def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
-    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings with two decays: skin
-    outside follows the contact's nearest point; the far decay is not exponential.
+    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings
+    with two decays: skin outside follows the contact's nearest point; the far decay is not
+    exponential.
     """
     carried = np.zeros((2, *weight.shape), np.float32)
     for owner in np.unique(contacts.owner):
@@ -356,4 +373,6 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
 
 
 TURNING = Mechanics(turned_mm, carry_far)
-"""How objects drag the other model's skin, in which every point is an independent spring, q = kt w."""
+"""How objects drag the other model's skin, in which every point is an independent spring,
+q = kt w.
+"""

@@ -1,7 +1,8 @@
 """Fingers that hold a moving object: its path, and the press, load, slip and skin of each finger.
 
-A press states how the object moved since it touched as a drag and a twist: those of the material at the middle of the
-contact. What a rotation about an axis along the skin does beside the middle is neglected (0.05 mm for 5°).
+A press states how the object moved since it touched as a drag and a twist: those of the material at
+the middle of the contact. What a rotation about an axis along the skin does beside the middle is
+neglected (0.05 mm for 5°).
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _NEAREST = 0.3  # of the skin's radius
 
 
 def lathed(name: str, outline_mm: Sequence[tuple[float, float]]) -> Shape:
-    """A solid of revolution about x from the corners (x, distance from x) of its outline; the rounding of convex edges
-    is added around it and removes nothing.
+    """A solid of revolution about x from the corners (x, distance from x) of its outline; the
+    rounding of convex edges is added around it and removes nothing.
     """
     upper = list(outline_mm)
     profile = polygon([*upper, *((x, -rho) for x, rho in reversed(upper))])
@@ -42,8 +43,8 @@ def lathed(name: str, outline_mm: Sequence[tuple[float, float]]) -> Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:
-    """The memory of a finger's contact: the object's pose when it touched, and how far it has slid over the skin since,
-    along x and y in mm and about z in degrees.
+    """The memory of a finger's contact: the object's pose when it touched, and how far it has slid
+    over the skin since, along x and y in mm and about z in degrees.
     """
 
     sensor_T_object: Rigid
@@ -51,8 +52,8 @@ class Grip:
 
 
 def contact_centre(body: Shape, sensor_T_object: Rigid, skin_radius_mm: float) -> F64 | None:
-    """The centre (3,) of the object's surface inside the undeformed skin, in the sensor frame; None without contact,
-    that is, with less than a millimetre of skin.
+    """The centre (3,) of the object's surface inside the undeformed skin, in the sensor frame; None
+    without contact, that is, with less than a millimetre of skin.
     """
     directions = _looked_at(skin_radius_mm)
     object_T_sensor = sensor_T_object.inverse()
@@ -78,7 +79,9 @@ def moved_along(grip: Grip, now: Rigid, at_mm: F64) -> tuple[float, float, float
 
 
 def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Grip:
-    """The grip after the object slid by a part of its drag; an object that turns back then loads it at once."""
+    """The grip after the object slid by a part of its drag;
+    an object that turns back then loads it at once.
+    """
     if not surplus:
         return grip
     x, y, turned = (of + surplus * by for of, by in zip(grip.slid, drag, strict=True))
@@ -88,8 +91,8 @@ def slid_on(grip: Grip, drag: tuple[float, float, float], surplus: float) -> Gri
 def press_of(
     body: Shape, now: Rigid, skin_radius_mm: float, at_mm: F64, drag: tuple[float, float, float]
 ) -> Press:
-    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and a twist; the origin
-    of such a press lies on the undeformed skin.
+    """The object as it lies, as a press of depth 0 at a point (3,) of its contact, with a drag and
+    a twist; the origin of such a press lies on the undeformed skin.
     """
     x, y, _ = at_mm.tolist()
     origin = np.array((x, y, math.sqrt(skin_radius_mm**2 - x * x - y * y)))
@@ -114,8 +117,8 @@ def _looked_at(skin_radius_mm: float) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandScript:
-    """Knots of the path of an object and of the fingers at increasing times; all moves straight and steadily between
-    two knots, and rests before the first and after the last.
+    """Knots of the path of an object and of the fingers at increasing times; all moves straight and
+    steadily between two knots, and rests before the first and after the last.
     """
 
     times_s: tuple[float, ...]
@@ -189,7 +192,9 @@ class Finger:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """An object's pose, and how far each finger is retracted along its z axis, away from the object (empty: none)."""
+    """An object's pose, and how far each finger is retracted along its z axis,
+    away from the object (empty: none).
+    """
 
     hand_T_object: Rigid
     back_mm: tuple[float, ...] = ()
@@ -202,7 +207,9 @@ class Placement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """One finger's press and skin, and the state from which the next motion is measured; None without contact."""
+    """One finger's press and skin, and the state from which the next motion is measured;
+    None without contact.
+    """
 
     press: Press | None
     skin: Skin
@@ -216,8 +223,10 @@ def felt(
     hand_T_object: Rigid,
     grip: Grip | None = None,
 ) -> Felt:
-    """Press an object on a finger at its present pose, with the grip of the previous step; without one, the contact
-    begins now. Raises ValueError if the object reaches the middle of the sensor.
+    """Press an object on a finger at its present pose, with the grip of the previous step; without
+    one, the contact begins now.
+
+    Raises ValueError if the object reaches the middle of the sensor.
     """
     radius_mm, now = finger.sensor.model.skin_radius_mm, hand_T_sensor.inverse() @ hand_T_object
     at_mm = contact_centre(body, now, radius_mm)
@@ -233,8 +242,9 @@ def felt(
 def follow(
     fingers: Sequence[Finger], k: int, body: Shape, placements: Iterable[Placement]
 ) -> Iterator[Felt]:
-    """Yield the contact of finger k with a moving object; a resting one costs nothing. The distance slid is accurate to
-    within one placement.
+    """Yield the contact of finger k with a moving object; a resting one costs nothing.
+
+    The distance slid is accurate to within one placement.
     """
     last: tuple[Placement, Felt] | None = None
     for placement in placements:

@@ -17,29 +17,36 @@ NotNegative = Annotated[float, Meta(ge=0, lt=1e6)]
 Part = Annotated[float, Meta(ge=0, le=1)]
 
 RIM_HALF_ANGLE_DEG = 72.0
-"""Angle at O from +z at which the housing clamps the skin (h = 0); the visible circle must lie inside."""
+"""Angle at O from +z at which the housing clamps the skin (h = 0);
+the visible circle must lie inside.
+"""
 
 MAX_VISIBLE_HALF_ANGLE_DEG = 62.0
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The parameters of one sensor: skin, pins and markers, camera, light. Radii in pitches are radii, not diameters.
+    """The parameters of one sensor: skin, pins and markers, camera, light.
 
-    Skin: r, d (None: orthographic) and θ as in `Geometry`. A pad is the flat skin of the size of such a dome, with the
-    same visible circle, whose radius is r sinθ; λ `skin_decay_mm` and λt `drag_decay_mm` are lengths over
-    which displacements decay outside a contact. With `friction` 1 the skin goes along -z with what presses it, with 0
-    along its radius; `coulomb` is μ kn / kt. `sway` is the part of a drag that the whole dome takes, `bulge` the part
-    of the displaced volume that bulges out at its sides, `pin_lag` the part of a drag by which tips of pins lag behind.
-    `creep_part` is how much of its deformation creeps under a held load, `creep_s` the time constant; only scenes that
-    move in time creep.
+    Radii in pitches are radii, not diameters.
 
-    Print: a hexagonal lattice of pins, frusta that point inwards, and markers at the centres of its triangles, which
-    merge over 0.29 pitches. Tolerances are standard deviations of a feature's place, and of its size as a ratio.
+    Skin: r, d (None: orthographic) and θ as in `Geometry`. A pad is the flat skin of the size of
+    such a dome, with the same visible circle, whose radius is r sinθ; λ `skin_decay_mm` and λt
+    `drag_decay_mm` are lengths over which displacements decay outside a contact. With `friction` 1
+    the skin goes along -z with what presses it, with 0 along its radius; `coulomb` is μ kn / kt.
+    `sway` is the part of a drag that the whole dome takes, `bulge` the part of the displaced volume
+    that bulges out at its sides, `pin_lag` the part of a drag by which tips of pins lag behind.
+    `creep_part` is how much of its deformation creeps under a held load, `creep_s` the time
+    constant; only scenes that move in time creep.
 
-    Image: `light` is the grey level of a feature of reflectance 1 in the middle, `vignetting` the part lost at the
-    edge, `colour_bgr` the gain of each channel; blur and noise are standard deviations, shot noise that at level 255.
-    Specular spots are LED highlights, which do not move with the skin.
+    Print: a hexagonal lattice of pins, frusta that point inwards, and markers at the centres of its
+    triangles, which merge over 0.29 pitches. Tolerances are standard deviations of a feature's
+    place, and of its size as a ratio.
+
+    Image: `light` is the grey level of a feature of reflectance 1 in the middle, `vignetting` the
+    part lost at the edge, `colour_bgr` the gain of each channel; blur and noise are standard
+    deviations, shot noise that at level 255. Specular spots are LED highlights, which do not move
+    with the skin.
     """
 
     skin: Skin = "dome"
@@ -92,7 +99,8 @@ class SensorModel:
             )
         if self.pin_length_pitches * self.pitch_mm > size_mm / 2:
             raise ValueError(
-                f"pin_length_pitches is {self.pin_length_pitches}: pins longer than half the skin's radius"
+                f"pin_length_pitches is {self.pin_length_pitches}: "
+                "pins longer than half the skin's radius"
             )
         if self.skin not in ("dome", "pad"):
             raise ValueError(f"skin is {self.skin!r}, expected dome or pad")
@@ -115,15 +123,17 @@ class SensorModel:
 
     @property
     def form_mm(self) -> tuple[float, float]:
-        """Radius of the undeformed skin, infinite for a pad, and the skin's size, as in `skin.undeformed`."""
+        """Radius of the undeformed skin, infinite for a pad, and the skin's size,
+        as in `skin.undeformed`.
+        """
         if self.skin == "pad":
             return math.inf, self.skin_radius_mm
         return self.skin_radius_mm, self.geometry.size_mm
 
 
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
-    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives the same sensor. The
-    ranges exclude sensors that a ball darkens.
+    """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives
+    the same sensor. The ranges exclude sensors that a ball darkens.
     """
     rng = np.random.default_rng(seed)
 
@@ -178,7 +188,9 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
 
 
 def flattened(model: SensorModel) -> SensorModel:
-    """A pad with the print of a sensor, and with its visible circle as large and as far from the lens."""
+    """A pad with the print of a sensor, and with its visible circle as large and as far
+    from the lens.
+    """
     d = model.camera_distance_mm
     if d is not None:
         d += model.skin_radius_mm * math.cos(math.radians(model.visible_half_angle_deg))
@@ -186,7 +198,9 @@ def flattened(model: SensorModel) -> SensorModel:
 
 
 def tactip(model: SensorModel) -> SensorModel:
-    """Print the same skin as a TacTip: white pin tips on black, without markers, so that contact darkens the image."""
+    """Print the same skin as a TacTip: white pin tips on black, without markers,
+    so that contact darkens the image.
+    """
     return replace(
         model,
         pin_length_pitches=1.0,

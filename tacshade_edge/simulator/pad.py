@@ -1,7 +1,8 @@
-"""The touchpad of the paper's Fig. 7: curves, a circle, fences of several widths and intervals, two dots.
+"""The touchpad of the paper's Fig. 7: curves, a circle, fences of several widths and intervals,
+two dots.
 
-A plate with its top at z = 0 in the robot's base frame carries bulges with rounded edges. To a sensor at a pose, the
-pad is one more object in the sensor frame.
+A plate with its top at z = 0 in the robot's base frame carries bulges with rounded edges. To a
+sensor at a pose, the pad is one more object in the sensor frame.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A part of a ring with round ends; its middle line runs between two angles, measured from x towards y."""
+    """A part of a ring with round ends; its middle line runs between two angles,
+    measured from x towards y.
+    """
 
     x_mm: float
     y_mm: float
@@ -101,12 +104,14 @@ class Pad:
         return reduce(np.maximum, (_top_mm(b.outline(x, y)) for b in self.bulges), np.zeros_like(x))
 
     def distance_mm(self, points_mm: F64) -> F64:
-        """Signed distance (N,) in mm of points (N, 3) in the base frame, negative inside; the plate is infinite."""
+        """Signed distance (N,) in mm of points (N, 3) in the base frame, negative inside;
+        the plate is infinite.
+        """
         return _distance(self.bulges, points_mm)
 
     def under(self, base_T_sensor: Rigid, apex_mm: float) -> Shape:
-        """The pad under a sensor at a pose, for a `Press` of depth 0 at (0, 0), whose origin is the apex of the
-        undeformed skin.
+        """The pad under a sensor at a pose, for a `Press` of depth 0 at (0, 0), whose origin is the
+        apex of the undeformed skin.
         """
         x, y, _ = base_T_sensor.translation_mm
         near = [
@@ -160,8 +165,8 @@ def raster(pad: Pad, step_mm: float) -> F32:
 
 
 def scan(pad: Pad, step_mm: float, depth_mm: float, apex_mm: float) -> list[Rigid]:
-    """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row by row, to and fro,
-    with the undeformed apex `depth_mm` below the highest point.
+    """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row
+    by row, to and fro, with the undeformed apex `depth_mm` below the highest point.
     """
     z = BULGE_HEIGHT_MM - depth_mm + apex_mm
     xs, ys = (
@@ -182,7 +187,9 @@ _DOWN = from_seven((0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
 def disturbed(
     poses: Sequence[Rigid], apex_mm: float, sigma_mm: float, sigma_deg: float, seed: int
 ) -> list[Rigid]:
-    """The poses that a robot reports with Gaussian noise along every axis and about a random axis through the apex."""
+    """The poses that a robot reports with Gaussian noise along every axis
+    and about a random axis through the apex.
+    """
     rng = np.random.default_rng((seed, 6))
     out = []
     for pose in poses:

@@ -1,7 +1,9 @@
-"""Objects to press, as signed distance functions in mm, and a press: the convention of every press in this package.
+"""Objects to press, as signed distance functions in mm, and a press:
+the convention of every press in this package.
 
-Every shape stands on its own origin: its lowest point has z = 0 there, and it extends towards +z, away from the
-sensor. Outside, distances are exact or too small, never too large, so that a ray may step by them.
+Every shape stands on its own origin: its lowest point has z = 0 there, and it extends towards +z,
+away from the sensor. Outside, distances are exact or too small, never too large, so that a ray may
+step by them.
 """
 
 from __future__ import annotations
@@ -76,7 +78,9 @@ def _disc(radius: float) -> Callable[[F64, F64], F64]:
 
 
 def _moon(outer: float, inner: float, offset: float) -> Callable[[F64, F64], F64]:
-    """A disc minus another disc with its centre at `offset` along x; centred on the middle of the crescent."""
+    """A disc minus another disc with its centre at `offset` along x;
+    centred on the middle of the crescent.
+    """
     a = (outer**2 - inner**2 + offset**2) / (2 * offset)
     b = math.sqrt(max(outer**2 - a**2, 0.0))
     middle = 0.5 * (-outer + a)
@@ -147,7 +151,9 @@ def _edge() -> Shape:
 
 
 def bars(width_mm: float, gap_mm: float) -> Shape:
-    """Two flat bars of 12 mm along y, of the same width, side by side along x; a gap of 0 makes them one."""
+    """Two flat bars of 12 mm along y, of the same width, side by side along x;
+    a gap of 0 makes them one.
+    """
     one = _rectangle(width_mm / 2, 6.0)
     middle = (gap_mm + width_mm) / 2
     return _extrude("bars", lambda x, y: one(np.abs(x) - middle, y))
@@ -189,10 +195,11 @@ PAPER_OBJECTS = ("cube", "small_crescent", "ball", "large_crescent", "cylinder")
 class Press:
     """An indenter that moved along -z and then along the skin.
 
-    x, y is where the object's origin is after the drag. `depth_mm` is z of the undeformed skin there minus z of the
-    lowest point, not the travel from first touch. The shape is enlarged by `scale` about its lowest point, turned about
-    its z axis from x towards y, and tilted about the sensor's x, then y axis. Drag and twist (about z through (x, y))
-    say how far it moved after it touched.
+    x, y is where the object's origin is after the drag. `depth_mm` is z of the undeformed skin
+    there minus z of the lowest point, not the travel from first touch. The shape is enlarged by
+    `scale` about its lowest point, turned about its z axis from x towards y, and tilted about the
+    sensor's x, then y axis. Drag and twist (about z through (x, y)) say how far it moved after it
+    touched.
     """
 
     shape: Shape
@@ -217,15 +224,17 @@ class Press:
             raise ValueError(f"scale is {self.scale}, expected a positive number")
 
     def lowest_z_mm(self, skin_radius_mm: float) -> float:
-        """The z of the lowest point in the sensor frame, in mm; a pad has an infinite radius. Raises
-        ValueError if (x, y) is not over the skin.
+        """The z of the lowest point in the sensor frame, in mm; a pad has an infinite radius.
+
+        Raises ValueError if (x, y) is not over the skin.
         """
         if math.isinf(skin_radius_mm):
             return -self.depth_mm
         beside = skin_radius_mm**2 - self.x_mm**2 - self.y_mm**2
         if beside <= 0:
             raise ValueError(
-                f"a press at x {self.x_mm}, y {self.y_mm} mm is not over the skin of radius {skin_radius_mm} mm"
+                f"a press at x {self.x_mm}, y {self.y_mm} mm is not over the skin of radius "
+                f"{skin_radius_mm} mm"
             )
         return math.sqrt(beside) - self.depth_mm
 
@@ -264,7 +273,10 @@ class Press:
         )
 
     def origin_z_mm(self, skin_radius_mm: float) -> float:
-        """The z of the object's origin in the sensor frame, in mm. Raises ValueError if (x, y) is not over the skin."""
+        """The z of the object's origin in the sensor frame, in mm.
+
+        Raises ValueError if (x, y) is not over the skin.
+        """
         lowest = self.lowest_z_mm(skin_radius_mm)
         if not self.is_tilted:
             return lowest
@@ -273,7 +285,9 @@ class Press:
         )
 
     def before_drag(self, x_y_mm: F64) -> F64:
-        """Positions (..., 2) in mm, when the object touched, of its points that are now at `x_y_mm`."""
+        """Positions (..., 2) in mm, when the object touched,
+        of its points that are now at `x_y_mm`.
+        """
         a = math.radians(self.twist_deg)
         back = np.array(
             ((math.cos(a), -math.sin(a)), (math.sin(a), math.cos(a)))
@@ -286,7 +300,9 @@ class Press:
 
 @functools.lru_cache(maxsize=256)
 def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
-    """The z in mm of a tilted shape's lowest point over its origin; within 2 µm for shapes up to 40 mm wide."""
+    """The z in mm of a tilted shape's lowest point over its origin;
+    within 2 µm for shapes up to 40 mm wide.
+    """
     upright = Press(shape, rotation_deg=rotation_deg)
     tilt = Press(shape, tilt_x_deg=tilt_x_deg, tilt_y_deg=tilt_y_deg).tilt()
     up = np.array((0.0, 0.0, upright.lowest_z_mm(100.0)))
@@ -308,7 +324,9 @@ def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg:
 
 
 def distances_mm(presses: Sequence[Press], skin_radius_mm: float, points_mm: F64) -> F64:
-    """Signed distances (presses, N), negative inside, from points (N, 3) to each pressed object (at least one)."""
+    """Signed distances (presses, N), negative inside, from points (N,
+    3) to each pressed object (at least one).
+    """
     return np.stack([press.distance_mm(skin_radius_mm, points_mm) for press in presses])
 
 

@@ -1,7 +1,8 @@
-"""Render a skin to an image: pins and markers through the camera, then light, blur, surround, noise.
+"""Render a skin to an image: pins and markers through the camera, then light, blur, surround,
+noise.
 
-The renderer does not hide skin behind its own steep folds; at visible half angles up to 55° and folds below 70° to
-the sphere, nothing is hidden.
+The renderer does not hide skin behind its own steep folds; at visible half angles up to 55° and
+folds below 70° to the sphere, nothing is hidden.
 """
 
 from __future__ import annotations
@@ -23,15 +24,19 @@ _FLAT_REACH = 1.12
 
 @dataclass(frozen=True, slots=True)
 class PinProfile:
-    """The pin's outline between base and tip, as cones between rings. `rings`: each ring's height (0 at the base, 1 at
-    the tip) and its radius, the sum of a part of the base's radius and a part of the tip's.
+    """The pin's outline between base and tip, as cones between rings.
+
+    `rings`: each ring's height (0 at the base, 1 at the tip) and its radius, the sum of a part of
+    the base's radius and a part of the tip's.
     """
 
     rings: tuple[tuple[float, float, float], ...]
 
     @classmethod
     def waist(cls, height: float, part: float) -> PinProfile:
-        """Make a frustum whose radius at a height is multiplied by `part`, which gives a waist or a belly."""
+        """Make a frustum whose radius at a height is multiplied by `part`,
+        which gives a waist or a belly.
+        """
         return cls(((height, part * (1 - height), part * height),))
 
 
@@ -41,9 +46,11 @@ FRUSTUM, CAP = PinProfile(()), PinProfile(((1.0, 0.7, 0.0),))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """The printed features of one sensor, on the undeformed skin. `marker_chart_mm` (float (M, corners, 2)): outlines
-    of the markers in the skin's chart; they are on the skin and deform with it. `pin_chart_mm` (float (P, 2)):
-    positions of the pins in the skin's chart. `pin_base_mm`, `pin_tip_mm`, `pin_length_mm`: float (P,).
+    """The printed features of one sensor, on the undeformed skin.
+
+    `marker_chart_mm` (float (M, corners, 2)): outlines of the markers in the skin's chart; they are
+    on the skin and deform with it. `pin_chart_mm` (float (P, 2)): positions of the pins in the
+    skin's chart. `pin_base_mm`, `pin_tip_mm`, `pin_length_mm`: float (P,).
     """
 
     marker_chart_mm: F64
@@ -54,7 +61,9 @@ class Print:
 
 
 def print_features(model: SensorModel) -> Print:
-    """Lay the hexagonal lattice on the skin (equal-area chart) with the model's print tolerances."""
+    """Lay the hexagonal lattice on the skin (equal-area chart)
+    with the model's print tolerances.
+    """
     p, (r, size_mm) = model.pitch_mm, model.form_mm
     reach = math.radians(min(model.visible_half_angle_deg + 6.0, MAX_VISIBLE_HALF_ANGLE_DEG + 4.0))
     limit = 2 * r * math.sin(reach / 2) if r == size_mm else reach_mm(model)
@@ -82,14 +91,18 @@ def reach_mm(model: SensorModel) -> float:
 
 
 def print_at(model: SensorModel, pins_mm: F64, markers_mm: F64) -> Print:
-    """Print pins and markers at points (N, 2) of the equal-area chart, with the model's tolerances."""
+    """Print pins and markers at points (N, 2) of the equal-area chart,
+    with the model's tolerances.
+    """
     return _printed(model, 14, pins_mm, markers_mm, reach_mm(model), 1.0)
 
 
 def _printed(
     model: SensorModel, stream: int, pins: F64, markers: F64, limit_mm: float, marker_part: float
 ) -> Print:
-    """Print at points of the equal-area chart within a limit, with tolerances drawn from a stream."""
+    """Print at points of the equal-area chart within a limit,
+    with tolerances drawn from a stream.
+    """
     rng, (r, _) = np.random.default_rng((model.print_seed, stream)), model.form_mm
 
     def lay(points: F64) -> F64:
@@ -147,7 +160,9 @@ _DRAG_TOLERANCE_MM = 2e-3
 
 
 def project(geometry: Geometry, points_mm: F64) -> F64:
-    """Image coordinates (col, row) of points (..., 3) in the sensor frame; pixel centres are integers."""
+    """Image coordinates (col, row) of points (..., 3) in the sensor frame;
+    pixel centres are integers.
+    """
     disc = geometry.disc
     if geometry.camera_distance_mm is None:
         scale = np.asarray(1 / geometry.mm_per_px)
@@ -196,8 +211,8 @@ class Renderer:
         return np.asarray(cv2.LUT(cv2.merge((level, level, level)), table), np.uint8)
 
     def level(self, image: F32, noise_seed: int) -> U8:
-        """Add the camera's noise, and quantise: uint8 (H, W), the same for the three channels, because demosaicking
-        leaves nearly the same noise in each.
+        """Add the camera's noise, and quantise: uint8 (H, W), the same for the three channels,
+        because demosaicking leaves nearly the same noise in each.
         """
         model, rng = self.model, np.random.default_rng((noise_seed, 3))
         variance = model.read_noise_grey**2 + np.maximum(image, 0) * (
@@ -210,9 +225,13 @@ class Renderer:
         """Reflectance times 255, (H, W): markers on the skin, pins over them."""
         model, marks = self.model, self.print
         size = (model.image_height_px * _SUPERSAMPLING, model.image_width_px * _SUPERSAMPLING)
-        ground, white, black, tip_level = (round(255 * v) for v in (
-            model.skin_reflectance, model.marker_reflectance, model.pin_reflectance, model.pin_tip_reflectance
-        ))  # fmt: skip
+        reflectances = (
+            model.skin_reflectance,
+            model.marker_reflectance,
+            model.pin_reflectance,
+            model.pin_tip_reflectance,
+        )
+        ground, white, black, tip_level = (round(255 * each) for each in reflectances)
         canvas = np.full(size, ground, np.uint8)
         smooth = smoothed(skin, float(np.mean(marks.pin_base_mm)))
         outline = _on_skin(skin, *self._carried(smooth, marks.marker_chart_mm, model.friction))
@@ -259,7 +278,9 @@ class Renderer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pins:
-    """Every pin on a skin, each array (P, 3): its base's middle, its axes, and by how much its tip leads in a drag."""
+    """Every pin on a skin, each array (P, 3): its base's middle, its axes,
+    and by how much its tip leads in a drag.
+    """
 
     base_mm: F64
     normal: F64
@@ -283,7 +304,9 @@ class _Pins:
 
 
 def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-    """New directions (..., 3) and chart coordinates (..., 2) of material points that the deformation moves."""
+    """New directions (..., 3) and chart coordinates (...,
+    2) of material points that the deformation moves.
+    """
     direction, now = skin.carried_inwards(chart_mm, friction)
     if skin.origin_mm is None:
         return direction, now
@@ -304,7 +327,9 @@ def _on_skin(skin: Skin, direction: F64, chart_mm: F64) -> F64:
 
 
 def smoothed(skin: Skin, patch_mm: float) -> Skin:
-    """The skin as a stiff printed feature senses it, with h averaged over a patch of the given radius."""
+    """The skin as a stiff printed feature senses it,
+    with h averaged over a patch of the given radius.
+    """
     side = 2 * max(1, round(patch_mm / skin.step_mm)) + 1
     return replace(skin, height_mm=np.asarray(cv2.blur(skin.height_mm, (side, side)), np.float32))
 
@@ -323,7 +348,8 @@ def _outward_normals(flat: Skin, chart_mm: F64) -> F64:
     # Unit tangents of the chart's axes.
     e_x = np.stack((1 + q - u * u / 2, -u * v / 2, -u), axis=1) / (1 + q)[:, None]
     e_y = np.stack((-u * v / 2, 1 + q - v * v / 2, -v), axis=1) / (1 + q)[:, None]
-    # The surface is |S| + h - r = 0; h's gradient on the unit sphere is r (1 + q) times that in the chart.
+    # The surface is |S| + h - r = 0; h's gradient on the unit sphere is r
+    # (1 + q) times that in the chart.
     k = (flat.radius_mm * (1 + q) / (flat.radius_mm - flat.sample(x, y)))[:, None]
     normal = direction + k * (h_x[:, None] * e_x + h_y[:, None] * e_y)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
@@ -337,7 +363,9 @@ def _to_canvas(points: F64) -> np.typing.NDArray[np.int32]:
 
 
 def _surround(model: SensorModel, rho: F32, angle: F32) -> F32:
-    """Grey levels outside the visible circle: the housing, plus an LED ring if the surround is bright."""
+    """Grey levels outside the visible circle: the housing,
+    plus an LED ring if the surround is bright.
+    """
     if model.surround == "dark":
         return np.full(rho.shape, 10.0, np.float32)
     housing = 70 + 25 * np.cos(angle * 3 + model.print_seed)

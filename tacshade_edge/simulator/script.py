@@ -1,4 +1,6 @@
-"""Scripted presses: the demo's hand, as a function of the frame index, and the ball presses that calibrate a sensor."""
+"""Scripted presses: the demo's hand, as a function of the frame index,
+and the ball presses that calibrate a sensor.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,10 @@ class Drag:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """A sequence of presses at their greatest depth, before the drag: each is a pause without contact, approach, hold
-    and release, of as many frames; repeats after the last. One drag per press, cyclically, is made in few steps over
-    the middle half of the hold and kept through the release, which then has equally few steps.
+    """A sequence of presses at their greatest depth, before the drag: each is a pause without
+    contact, approach, hold and release, of as many frames; repeats after the last. One drag per
+    press, cyclically, is made in few steps over the middle half of the hold and kept through the
+    release, which then has equally few steps.
     """
 
     presses: tuple[Press, ...]
@@ -52,7 +55,10 @@ class Script:
         return self.pause + self.approach + self.hold + self.release
 
     def at(self, index: int) -> tuple[Press, ...]:
-        """The presses of a frame: none or one. A turn begins with its pause, so frame 0 is without contact."""
+        """The presses of a frame: none or one.
+
+        A turn begins with its pause, so frame 0 is without contact.
+        """
         turn, frame = divmod(index % self.period, self._turn)
         press = self.presses[turn]
         drag = self.drags[turn % len(self.drags)] if self.drags else Drag()
@@ -102,9 +108,10 @@ def demonstration() -> Script:
 
 
 def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Press, float]]:
-    """Draw ball presses and the radius of each ball in mm: places on a sunflower over the inner two thirds of the
-    visible disc; radii (3 to 9 mm) and depths (0.5 to 4 mm) stratified, then shuffled, so that any subset covers their
-    ranges. All lengths are for a skin of 20 mm and scale with its radius.
+    """Draw ball presses and the radius of each ball in mm: places on a sunflower over the inner two
+    thirds of the visible disc; radii (3 to 9 mm) and depths (0.5 to 4 mm) stratified, then
+    shuffled, so that any subset covers their ranges. All lengths are for a skin of 20 mm and scale
+    with its radius.
     """
     rng = np.random.default_rng((seed, 4))
     scale = model.skin_radius_mm / 20

@@ -1,9 +1,10 @@
 """The skin's shape under objects: an obstacle problem on the sphere, or in the plane of a pad.
 
-The skin is a membrane on an elastic foundation (the gel). Its inward displacement h along the radius minimises
-∫ λ²|∇h|² + h² over the sphere, subject to h >= 0 and to the skin staying outside the objects. λ is the length over
-which the skirt around a contact decays. The grid lies in the stereographic chart, centred on the apex. The chart is
-conformal: the Dirichlet term is that of the plane, and only the mass term takes the factor (1 + ρ²/4)^-2.
+The skin is a membrane on an elastic foundation (the gel). Its inward displacement h along the
+radius minimises ∫ λ²|∇h|² + h² over the sphere, subject to h >= 0 and to the skin staying outside
+the objects. λ is the length over which the skirt around a contact decays. The grid lies in the
+stereographic chart, centred on the apex. The chart is conformal: the Dirichlet term is that of the
+plane, and only the mass term takes the factor (1 + ρ²/4)^-2.
 
 A pad has an infinite radius; its chart is the plane itself, h is along -z, and the point (x, y, 0)
 stands where a dome has the unit vector of a direction. Radius and size differ for a pad and for a
@@ -32,7 +33,9 @@ _RELAXATION = 1.7
 
 
 def solve(obstacle: F32, mass: F32) -> F32:
-    """Solve by projected red-black over-relaxation, starting on a quarter of the nodes; h = 0 on the border."""
+    """Solve by projected red-black over-relaxation, starting on a quarter of the nodes;
+    h = 0 on the border.
+    """
     height = obstacle.copy()
     if min(obstacle.shape) >= 24:
         coarse = solve(
@@ -56,7 +59,8 @@ def solve(obstacle: F32, mass: F32) -> F32:
     gain = omega / (4 + mass)
     keep = np.float32(1) - omega
     rows, cols = height.shape
-    # Nodes of even and odd rows and columns are stored apart, so that a node's neighbours are contiguous.
+    # Nodes of even and odd rows and columns are stored apart,
+    # so that a node's neighbours are contiguous.
     apart = [[np.ascontiguousarray(height[i::2, j::2]) for j in (0, 1)] for i in (0, 1)]
     planes = []
     for i, j in ((1, 1), (2, 2), (1, 2), (2, 1)):
@@ -136,9 +140,9 @@ def _slide(w: F32, held: F32, limit: F32, mass: F32) -> None:
 
 
 def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide) -> F32:
-    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something touches) for w (2,
-    rows, cols), 0 on the border and `held` where the limit allows it, by relaxation that starts on a quarter of the
-    nodes.
+    """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something
+    touches) for w (2, rows, cols), 0 on the border and `held` where the limit allows it, by
+    relaxation that starts on a quarter of the nodes.
     """
     if min(mass.shape) >= 24:
         few = [np.ascontiguousarray(each[..., ::2, ::2]) for each in (held, limit * 4, mass * 4)]
@@ -153,7 +157,9 @@ def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide) -> F32:
 
 
 def finer(coarse: F32, shape: tuple[int, int]) -> F32:
-    """Resample (2, rows, cols) to a grid with half the step: its node (2i, 2j) is node (i, j) of the coarse one."""
+    """Resample (2, rows, cols) to a grid with half the step:
+    its node (2i, 2j) is node (i, j) of the coarse one.
+    """
     to_coarse = np.array(((0.5, 0, 0), (0, 0.5, 0)))
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.stack(
@@ -173,7 +179,9 @@ _TRACE_STEPS = 400
 _OUTERMOST = 1.25
 """How far from O a leaning or bulging skin may reach, in skin radii."""
 _ROUNDING = 1 + 1e-9
-"""On a size that was divided and multiplied, so that it is not less than the radius that it equals."""
+"""On a size that was divided and multiplied, so that it is not less than the radius
+that it equals.
+"""
 
 Solver = Callable[[F32, F32], F32]
 """A function from an obstacle and mass weights to h, all on the same grid."""
@@ -181,13 +189,15 @@ Solver = Callable[[F32, F32], F32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """A deformed skin; maps are float32 (2n+1, 2n+1), node (i, j) has chart coordinates ((j - n) step, (i - n) step).
+    """A deformed skin; maps are float32 (2n+1, 2n+1), node (i,
+    j) has chart coordinates ((j - n) step, (i - n) step).
 
-    `obstacle_mm`: the least `pressed_mm` outside the objects; 0 where the node's ray meets none. `leaning_mm`: part of
-    h due to the leaning dome. `origin_mm` (.., 2): chart coordinates without drag and sway of the material now at a
-    node, minus the node's own. For each press, if one drags: `stuck`, the part of its contact that moves with it;
-    `slid_mm`, how far along x and y it is ahead of the skin on average; `surplus`, the part of its drag that it could
-    reverse without sticking anywhere. `rest_mm`: part of `pressed_mm` that remains without load, for a skin that
+    `obstacle_mm`: the least `pressed_mm` outside the objects; 0 where the node's ray meets none.
+    `leaning_mm`: part of h due to the leaning dome. `origin_mm` (.., 2): chart coordinates without
+    drag and sway of the material now at a node, minus the node's own. For each press, if one drags:
+    `stuck`, the part of its contact that moves with it; `slid_mm`, how far along x and y it is
+    ahead of the skin on average; `surplus`, the part of its drag that it could reverse without
+    sticking anywhere. `rest_mm`: part of `pressed_mm` that remains without load, for a skin that
     creeps.
     """
 
@@ -237,9 +247,9 @@ class Skin:
         )
 
     def carried_inwards(self, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-        """New directions (..., 3) and chart coordinates (..., 2) of material points under objects moving along -z, to
-        first order in h: by h / cosθ along -z where the skin sticks (`friction` 1), by h along the radius where it
-        slides.
+        """New directions (..., 3) and chart coordinates (..., 2) of material points under objects
+        moving along -z, to first order in h: by h / cosθ along -z where the skin sticks (`friction`
+        1), by h along the radius where it slides.
         """
         direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
         if math.isinf(self.radius_mm):
@@ -267,8 +277,9 @@ def press_skin(
     solver: Solver = solve,
     size_mm: float | None = None,
 ) -> Skin:
-    """Find the skin's shape under objects; `rest_mm` is that of the unloaded skin after creep. Raises ValueError (an
-    object would reach the middle of the sensor, or is not over the skin).
+    """Find the skin's shape under objects; `rest_mm` is that of the unloaded skin after creep.
+
+    Raises ValueError (an object would reach the middle of the sensor, or is not over the skin).
     """
     flat = undeformed(radius_mm, size_mm)
     free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
@@ -291,7 +302,9 @@ def press_skin(
 
 
 def left_over(skin: Skin, part: float) -> Skin:
-    """Make the shape that a creeping skin keeps for a while after a release: a weaker dent without the object."""
+    """Make the shape that a creeping skin keeps for a while after a release:
+    a weaker dent without the object.
+    """
     weaker = np.float32(part)
     return replace(
         skin,
@@ -305,7 +318,9 @@ def left_over(skin: Skin, part: float) -> Skin:
 
 
 def net_pull(skin: Skin, decay_mm: float) -> F32:
-    """The pressure of the skin's nodes, in mm: (4 + m) h minus the sum of the neighbours; 0 on the border."""
+    """The pressure of the skin's nodes, in mm: (4 + m) h minus the sum of the neighbours;
+    0 on the border.
+    """
     h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm
     mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32(
         (skin.step_mm / decay_mm) ** 2
@@ -317,7 +332,9 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
 
 
 def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
-    """Convert chart coordinates in mm to unit vectors from O, (..., 3); on a pad to the points of the plane."""
+    """Convert chart coordinates in mm to unit vectors from O, (..., 3);
+    on a pad to the points of the plane.
+    """
     if math.isinf(radius_mm):
         return np.stack((x, y, np.zeros_like(x)), axis=-1)
     u, v = x / radius_mm, y / radius_mm
@@ -326,7 +343,9 @@ def chart_to_direction(x: F64, y: F64, radius_mm: float) -> F64:
 
 
 def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
-    """Convert vectors from O (any length, not along -z) to chart coordinates in mm; on a pad points of any height."""
+    """Convert vectors from O (any length, not along -z) to chart coordinates in mm;
+    on a pad points of any height.
+    """
     if math.isinf(radius_mm):
         return direction[..., 0], direction[..., 1]
     k = 2 * radius_mm / (np.linalg.norm(direction, axis=-1) + direction[..., 2])
@@ -334,7 +353,9 @@ def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
 
 
 def at_height(direction: F64, height: F64 | F32, radius_mm: float) -> F64:
-    """Points (..., 3) in mm of the skin with a height (...) in a direction of `chart_to_direction`."""
+    """Points (..., 3) in mm of the skin with a height
+    (...) in a direction of `chart_to_direction`.
+    """
     if math.isinf(radius_mm):
         lowered = direction.copy()
         lowered[..., 2] -= height
@@ -362,7 +383,9 @@ def _grid(size_mm: float) -> tuple[int, float]:
 
 
 def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
-    """The chart's factor on the mass term; beyond the rim it is so large that the skin cannot move."""
+    """The chart's factor on the mass term; beyond the rim it is so large
+    that the skin cannot move.
+    """
     node = np.arange(-n, n + 1)
 
     def squares(of_mm: float) -> F64:
@@ -376,7 +399,9 @@ def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
 
 
 def node_directions(radius_mm: float, size_mm: float | None = None) -> F64:
-    """Directions of the grid's nodes (`chart_to_direction`), (2n+1, 2n+1, 3), in single precision."""
+    """Directions of the grid's nodes (`chart_to_direction`), (2n+1, 2n+1, 3),
+    in single precision.
+    """
     return _directions(radius_mm, *_grid(size_mm or radius_mm))
 
 
@@ -392,7 +417,9 @@ def obstacle_of(
     leaning_mm: F32 | None = None,
     size_mm: float | None = None,
 ) -> F32:
-    """The skin's distance from O minus the distance at which each node's ray enters an object; 0 if it enters none."""
+    """The skin's distance from O minus the distance at which each node's ray enters an object;
+    0 if it enters none.
+    """
     size_mm = size_mm or radius_mm
     at_rest = np.float32(size_mm if math.isinf(radius_mm) else radius_mm)
     surface = at_rest if leaning_mm is None else at_rest - leaning_mm
@@ -402,8 +429,8 @@ def obstacle_of(
 
 @functools.lru_cache(maxsize=2)
 def _entries(radius_mm: float, size_mm: float, presses: tuple[Press, ...]) -> F32:
-    """The distance from O at which each node's ray enters an object, infinite if none; the last ones are kept. The rays
-    of a pad are along z and begin at its size below the skin.
+    """The distance from O at which each node's ray enters an object, infinite if none; the last
+    ones are kept. The rays of a pad are along z and begin at its size below the skin.
     """
     rays, flat = _directions(radius_mm, *_grid(size_mm)), math.isinf(radius_mm)
     origins = np.zeros((1, 3)) if not flat else (rays - (0, 0, size_mm)).reshape(-1, 3)
@@ -451,7 +478,9 @@ def window_of(where: np.typing.NDArray[np.bool_], margin: int) -> tuple[slice, s
 
 
 def bilinear(grid: F32, x: F64, y: F64) -> F64:
-    """Sample at (x, y) steps from the middle node; 0 outside. cv2.remap would round to 1/32 step."""
+    """Sample at (x, y) steps from the middle node; 0 outside.
+    cv2.remap would round to 1/32 step.
+    """
     n = grid.shape[0] // 2
     col, row = np.clip(x + n, 0, 2 * n), np.clip(y + n, 0, 2 * n)
     j, i = np.minimum(col.astype(np.intp), 2 * n - 1), np.minimum(row.astype(np.intp), 2 * n - 1)

@@ -1,7 +1,9 @@
-"""The paper's TacShade, as far as its Table I tells: a sensor on which its method errs as it states.
+"""The paper's TacShade, as far as its Table I tells:
+a sensor on which its method errs as it states.
 
-The paper states neither the sizes of its objects, nor the depth of its presses, nor the print. A search over all of
-them found these values (tools/studies/identify_tacshade.py, docs/results/paper.md); others may do as well.
+The paper states neither the sizes of its objects, nor the depth of its presses, nor the print. A
+search over all of them found these values (tools/studies/identify_tacshade.py,
+docs/results/paper.md); others may do as well.
 """
 
 from __future__ import annotations
@@ -46,4 +48,6 @@ TACSHADE = SensorModel(
     print_seed=1,
 )
 OBJECT_SCALE, DEPTH_MM = 1.395, 3.1
-"""The size of the objects (1: those of `press.OBJECTS`) and the depth of the presses that go with it."""
+"""The size of the objects (1: those of `press.OBJECTS`) and the depth of the presses that go
+with it.
+"""

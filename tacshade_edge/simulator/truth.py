@@ -34,8 +34,9 @@ _INVERSE_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True values at the pixels: h of the skin point that the ray meets (NaN outside the disc); whether it touches; the
-    touching points (N, 3); the objects' surfaces inside the undeformed skin (M, 3); the greatest h over the disc.
+    """True values at the pixels: h of the skin point that the ray meets (NaN outside the disc);
+    whether it touches; the touching points (N, 3); the objects' surfaces inside the undeformed skin
+    (M, 3); the greatest h over the disc.
     """
 
     height_mm: F32
@@ -48,7 +49,9 @@ class Truth:
 def measure(
     skin: Skin, presses: Sequence[Press], geometry: Geometry, shape: tuple[int, int]
 ) -> Truth:
-    """Intersect the ray of every pixel of an image of a shape with a skin and the presses that shaped it."""
+    """Intersect the ray of every pixel of an image of a shape with a skin and the presses
+    that shaped it.
+    """
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     disc = geometry.disc
     inside = np.hypot(rows - disc.row_c, cols - disc.col_c) <= disc.radius_px
@@ -74,8 +77,8 @@ def measure(
 
 
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
-    """The points (N, 3) where the pixels' rays from the camera first meet the deformed skin; the point nearest to O for
-    a ray that misses the sphere.
+    """The points (N, 3) where the pixels' rays from the camera first meet the deformed skin; the
+    point nearest to O for a ray that misses the sphere.
     """
     origin, along = pixel_rays(geometry, row, col)
     r = skin.radius_mm
@@ -123,8 +126,8 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
 
 
 def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
-    """Shear (N, 2) along x and y, from every cause, of the material at points (N, 3) of a deformed skin: present x, y
-    minus those in the undeformed skin.
+    """Shear (N, 2) along x and y, from every cause, of the material at points (N, 3) of a deformed
+    skin: present x, y minus those in the undeformed skin.
     """
     now = np.stack(direction_to_chart(points_mm, skin.radius_mm), axis=-1)
     before = now.copy()
@@ -138,7 +141,9 @@ def shear_mm(skin: Skin, points_mm: F64, friction: float) -> F64:
 
 
 def pixel_rays(geometry: Geometry, row: F64, col: F64) -> tuple[F64, F64]:
-    """Origins in mm and unit directions of the pixels' rays, each (N, 3), for the pinhole or orthographic camera."""
+    """Origins in mm and unit directions of the pixels' rays, each (N, 3),
+    for the pinhole or orthographic camera.
+    """
     u, v = col - geometry.disc.col_c, row - geometry.disc.row_c
     zero = np.zeros_like(u)
     if geometry.camera_distance_mm is None:
@@ -174,14 +179,19 @@ class SimulatedFrame:
         return measure(self.skin, self.presses, self.model.geometry, shape)
 
     def shear_mm(self, row: F64, col: F64) -> F64:
-        """Shear (N, 2), x and y in mm, of the material that the rays of pixels inside the disc meet."""
+        """Shear (N, 2), x and y in mm, of the material that the rays
+        of pixels inside the disc meet.
+        """
         return shear_mm(
             self.skin, skin_points(self.skin, self.model.geometry, row, col), self.model.friction
         )
 
 
 class SimulatedSensor:
-    """A simulated sensor. The same presses and the same noise seed give the same frame, bit for bit."""
+    """A simulated sensor.
+
+    The same presses and the same noise seed give the same frame, bit for bit.
+    """
 
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
@@ -192,8 +202,9 @@ class SimulatedSensor:
         self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture under presses; several at once act as their union. Raises ValueError if one is not over the
-        skin, or reaches the middle of the sensor.
+        """Take a picture under presses; several at once act as their union.
+
+        Raises ValueError if one is not over the skin, or reaches the middle of the sensor.
         """
         key = tuple(presses)
         if self._last is None or self._last[0] != key:
@@ -213,8 +224,9 @@ class SimulatedSensor:
 
 
 def skin_under(model: SensorModel, presses: Sequence[Press], rest: Skin | None = None) -> Skin:
-    """Shape a sensor's skin under presses; `rest` is the unloaded skin after creep. Raises ValueError as
-    `SimulatedSensor.frame`.
+    """Shape a sensor's skin under presses; `rest` is the unloaded skin after creep.
+
+    Raises ValueError as `SimulatedSensor.frame`.
     """
     rest_mm = None if rest is None else rest.pressed_mm
 

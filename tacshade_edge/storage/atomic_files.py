@@ -16,7 +16,9 @@ from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import ReasonCode
 
 FREE_FLOOR_BYTES = 256 * 2**20
-"""Free space that recordings and sessions leave on the disk: a full disk harms more than just them."""
+"""Free space that recordings and sessions leave on the disk:
+a full disk harms more than just them.
+"""
 
 
 @contextlib.contextmanager
@@ -37,7 +39,9 @@ def is_nearly_full(folder: Path) -> bool:
 
 
 def require_free(folder: Path) -> None:
-    """Raise DeviceError (DISK_FULL) if the disk of a folder, which need not exist yet, is nearly full."""
+    """Raise DeviceError (DISK_FULL) if the disk of a folder, which need not exist yet,
+    is nearly full.
+    """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     if is_nearly_full(existing):
         found, expected = shutil.disk_usage(existing).free // 2**20, FREE_FLOOR_BYTES // 2**20
@@ -53,8 +57,10 @@ def part(path: Path) -> Path:
 
 
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
-    """Write a file under a temporary name, then rename it; refuse to replace a device or pipe such as ``/dev/null``.
-    With `sync` it waits for the disk. Raises OSError and then leaves nothing behind.
+    """Write a file under a temporary name, then rename it; refuse to replace a device or pipe such
+    as ``/dev/null``. With `sync` it waits for the disk.
+
+    Raises OSError and then leaves nothing behind.
     """
     partial = part(path)
     with contextlib.suppress(FileNotFoundError):
@@ -76,8 +82,10 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
 def write_set(
     folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes
 ) -> None:
-    """Write files that belong together, all to the disk before the first one replaces an older one: `manifest` is
-    absent while they are mixed with older ones. Raises OSError.
+    """Write files that belong together, all to the disk before the first one replaces an older one:
+    `manifest` is absent while they are mixed with older ones.
+
+    Raises OSError.
     """
     new = [folder / f"{name}.new" for name in files]
     try:
@@ -110,8 +118,11 @@ _OWNER_BYTES_MAX = 200
 
 
 class FolderLock:
-    """A lock that this process holds on a folder, or on a file in it, until `release` or its own end, whichever way.
-    Raises DeviceError if another process holds it (IN_USE, with its `owner` and process id), or it cannot be written.
+    """A lock that this process holds on a folder, or on a file in it,
+    until `release` or its own end, whichever way.
+
+    Raises DeviceError if another process holds it (IN_USE, with its `owner` and process id),
+    or it cannot be written.
     """
 
     def __init__(self, folder: Path, owner: str, *, file: str = "") -> None:
@@ -132,7 +143,10 @@ class FolderLock:
                 kind = "file" if file else "folder"
                 self.release()
                 raise DeviceError(
-                    f"{folder / file}: in use by {quoted(holder)}, expected a {kind} that no other program is using",
+                    (
+                        f"{folder / file}: in use by {quoted(holder)}, expected a {kind} that no "
+                        "other program is using"
+                    ),
                     code=ReasonCode.IN_USE,
                 ) from None
             except OSError:

@@ -20,8 +20,10 @@ _PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
 
 
 def read_image(path: Path) -> U8:
-    """Read one image of at most 64 MiB as stored, uint8 (H, W) grey or (H, W, 3) BGR: ignoring EXIF orientation,
-    without an alpha channel, 16 bits reduced to 8. Raises DecodeError.
+    """Read one image of at most 64 MiB as stored, uint8 (H, W) grey or (H, W, 3) BGR: ignoring EXIF
+    orientation, without an alpha channel, 16 bits reduced to 8.
+
+    Raises DecodeError.
     """
     try:
         data = read_regular(path, BYTES_MAX)
@@ -34,7 +36,10 @@ def read_image(path: Path) -> U8:
 
 
 def images_in(given: Iterable[Path]) -> list[Path]:
-    """The given images, and for a folder those in it, by name. Raises ConfigError for a folder without any."""
+    """The given images, and for a folder those in it, by name.
+
+    Raises ConfigError for a folder without any.
+    """
     images: list[Path] = []
     for path in given:
         if path.is_dir():

@@ -21,7 +21,10 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def read_stl(path: Path) -> F64:
-    """The corners of all triangles, float64 (N, 3, 3), finite, N from 1 to `MAX_TRIANGLES`. Raises DecodeError."""
+    """The corners of all triangles, float64 (N, 3, 3), finite, N from 1 to `MAX_TRIANGLES`.
+
+    Raises DecodeError.
+    """
     try:
         data = read_regular(path, _MAX_BYTES)
     except OSError as error:
@@ -71,11 +74,13 @@ def _ascii(path: Path, data: bytes) -> F64:
                 x, y, z = map(float, rest)
             except ValueError:
                 raise DecodeError(
-                    f"{path}:{number}: found {quoted(line.strip())}, expected a line of the form vertex x y z"
+                    f"{path}:{number}: found {quoted(line.strip())}, "
+                    "expected a line of the form vertex x y z"
                 ) from None
             if len(corners) == 3 * MAX_TRIANGLES:
                 raise DecodeError(
-                    f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most {MAX_TRIANGLES}"
+                    f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most "
+                    f"{MAX_TRIANGLES}"
                 )
             corners.append((x, y, z))
             in_facet += 1
@@ -93,7 +98,9 @@ def _ascii(path: Path, data: bytes) -> F64:
 
 
 def ply(points_mm: F32 | F64, comment: str, labels: U16 | None = None) -> bytes:
-    """A PLY file of points (N, 3) in mm: x, y, z as float and, with `labels` (N,), each one's number as ``object``."""
+    """A PLY file of points (N, 3) in mm: x, y, z as float and, with `labels` (N,),
+    each one's number as ``object``.
+    """
     return ply_head(len(points_mm), comment, labelled=labels is not None) + ply_rows(
         points_mm, labels
     )

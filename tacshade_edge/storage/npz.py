@@ -1,5 +1,6 @@
-"""An ``.npz`` file of canonical JSON and some arrays with the CRC-32 of both, and the records in it: dataclasses of
-numbers, texts and arrays, with the bounds of the numbers in their types. Reading takes no more memory than `BYTES_MAX`.
+"""An ``.npz`` file of canonical JSON and some arrays with the CRC-32 of both, and the records in
+it: dataclasses of numbers, texts and arrays, with the bounds of the numbers in their types. Reading
+takes no more memory than `BYTES_MAX`.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ BYTES_MAX: Final = 64 << 20
 """Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
 _MEMBERS_MAX: Final = 256
 _ENTRY: Final = b"PK\x01\x02"  # begins each entry of the directory, which zipfile reads whole
-# numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError: a flag or method zipfile lacks).
+# numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError:
+# a flag or method zipfile lacks).
 _DAMAGE: Final = (
     *(
         LookupError,
@@ -70,7 +72,10 @@ class Content:
 
 
 def read(name: str, what: str, writer: str) -> Content:
-    """Read a file; `what` and `writer` are the kind of file and its program, for messages. Raises ConfigError."""
+    """Read a file; `what` and `writer` are the kind of file and its program, for messages.
+
+    Raises ConfigError.
+    """
     try:
         # In the file's order; another version may have other arrays, which its checksum covers.
         arrays = read_arrays(name, BYTES_MAX)
@@ -80,22 +85,27 @@ def read(name: str, what: str, writer: str) -> Content:
             raise ValueError("found other JSON than a record")
     except OSError as error:
         raise ConfigError(
-            f"{shown(name)}: cannot read the {what}: {error.strerror}; expected a file written by {writer}"
+            f"{shown(name)}: cannot read the {what}: {error.strerror}; "
+            f"expected a file written by {writer}"
         ) from None
     except (DecodeError, KeyError, ValueError, TypeError, RecursionError):
         raise ConfigError(
-            f"{shown(name)}: the file is damaged or not a {what}; expected a file written by {writer}"
+            f"{shown(name)}: the file is damaged or not a {what}; "
+            f"expected a file written by {writer}"
         ) from None
     if (found := _crc32(meta, arrays)) != crc:
         raise ConfigError(
-            f"{name}: the file is damaged: found checksum {found:08x}, expected the stored {crc:08x}"
+            f"{name}: the file is damaged: found checksum {found:08x}, "
+            f"expected the stored {crc:08x}"
         )
     return Content(known, arrays)
 
 
 def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], dict[str, Array]]:
-    """A record's values and arrays by field, those of a dataclass in it as its own. A field with its default is left
-    out unless it is in `kept`, so that a record without it keeps its checksum.
+    """A record's values and arrays by field, those of a dataclass in it as its own.
+
+    A field with its default is left out unless it is in `kept`,
+    so that a record without it keeps its checksum.
     """
     meta: dict[str, Any] = {}
     arrays: dict[str, Array] = {}
@@ -113,7 +123,10 @@ def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], d
 
 
 def record_of(kind: type[T], values: Mapping[str, Any], *, strict: bool = True) -> T:
-    """The record that `parts_of` took apart; with `strict`, other values are refused. Raises ValueError."""
+    """The record that `parts_of` took apart; with `strict`, other values are refused.
+
+    Raises ValueError.
+    """
     known: set[str] = set()
     nested = _nested(kind, values, known)
     if strict and (unknown := sorted(set(values) - known)):
@@ -124,8 +137,11 @@ def record_of(kind: type[T], values: Mapping[str, Any], *, strict: bool = True) 
 def read_arrays(
     path: str | os.PathLike[str], bytes_max: int, *, kinds: str = "biuf"
 ) -> dict[str, Array]:
-    """Every array of any ``.npz`` file in the file's order; `kinds` are the accepted kinds of `numpy.dtype`. Raises
-    OSError, and DecodeError if the file is damaged, of another kind, or, packed or not, larger than `bytes_max`.
+    """Every array of any ``.npz`` file in the file's order;
+    `kinds` are the accepted kinds of `numpy.dtype`.
+
+    Raises OSError, and DecodeError if the file is damaged, of another kind, or, packed or not,
+    larger than `bytes_max`.
     """
     try:
         data = read_regular(path, bytes_max)

@@ -1,4 +1,6 @@
-"""Pictures for people, with axes and colours, drawn without a plotting library, which boards lack."""
+"""Pictures for people, with axes and colours, drawn without a plotting library,
+which boards lack.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ _UNTOUCHED_GREY = 225
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One side of a picture: its label (ASCII, with the unit), the value at the middle of pixel 0, and the increase."""
+    """One side of a picture: its label (ASCII, with the unit), the value at the middle of pixel 0,
+    and the increase.
+    """
 
     label: str
     first: float = 0.0
@@ -49,7 +53,9 @@ def ticks(axis: Axis, length_px: int) -> list[tuple[float, float]]:
 
 
 def framed(picture: U8, x: Axis | None, y: Axis, title: str = "") -> U8:
-    """The picture, uint8 (H, W, 3) BGR, on white with its axes; its corner is at row `TOP_PX`, column `LEFT_PX`."""
+    """The picture, uint8 (H, W, 3) BGR, on white with its axes;
+    its corner is at row `TOP_PX`, column `LEFT_PX`.
+    """
     rows, cols = picture.shape[:2]
     paper = np.full((TOP_PX + rows + BOTTOM_PX, LEFT_PX + cols + RIGHT_PX, 3), 255, np.uint8)
     paper[TOP_PX : TOP_PX + rows, LEFT_PX : LEFT_PX + cols] = picture
@@ -76,7 +82,9 @@ def framed(picture: U8, x: Axis | None, y: Axis, title: str = "") -> U8:
 
 
 def colour_bar(height_px: int, top: float, label: str) -> U8:
-    """A bar of the colours from 0 to `top`, as high as a picture of `height_px` rows after `framed`."""
+    """A bar of the colours from 0 to `top`, as high as a picture of `height_px` rows
+    after `framed`.
+    """
     levels = np.linspace(255, 0, height_px).astype(np.uint8)[:, None].repeat(BAR_WIDTH_PX, axis=1)
     bar = np.asarray(cv2.applyColorMap(levels, _COLOURS), np.uint8)
     return framed(bar, None, Axis(label, top, -top / max(height_px - 1, 1)))
@@ -93,16 +101,19 @@ def _without_depth(result: Reconstruction) -> str:
 
 
 def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
-    """One reconstruction, uint8 BGR: the image with axes in px, and the height in mm with contact, a colour bar and
-    axes in mm in the plane of the visible circle, from its centre.
+    """One reconstruction, uint8 BGR: the image with axes in px, and the height in mm with contact,
+    a colour bar and axes in mm in the plane of the visible circle, from its centre.
     """
     left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     rows, cols = left.shape[:2]
     top = max(float(np.nanmax(result.height.height_mm, initial=0.0)), 0.1)
     right = _coloured(result.height, (cols, rows), top)
     text = text_of(result.reason) or (
-        f"{result.profile}: {counted(len(result.objects), 'object')}, deepest {result.depth_max_mm:.2f} mm"
-        f"{' SATURATED' if result.saturated else ''} {text_of(result.degraded)}"
+        (
+            f"{result.profile}: {counted(len(result.objects), 'object')}, deepest "
+            f"{result.depth_max_mm:.2f} mm{' SATURATED' if result.saturated else ''} "
+            f"{text_of(result.degraded)}"
+        )
         if result.contact
         else f"{result.profile}: {_without_depth(result)} {text_of(result.degraded)}"
     )
@@ -121,7 +132,9 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One picture of a contact sheet: its thumbnail, uint8 (H, W, 3) BGR, its map, and a line of text."""
+    """One picture of a contact sheet: its thumbnail, uint8 (H, W, 3) BGR, its map,
+    and a line of text.
+    """
 
     thumbnail: U8
     height: HeightMap
@@ -150,7 +163,9 @@ def tile(name: str, image: U8, result: Reconstruction) -> Tile:
 
 
 def contact_sheet(tiles: Sequence[Tile]) -> U8:
-    """Pictures beside their maps, uint8 BGR, in `SHEET_COLUMNS` columns; all maps in the same colours."""
+    """Pictures beside their maps, uint8 BGR, in `SHEET_COLUMNS` columns;
+    all maps in the same colours.
+    """
     top = max(*(float(np.nanmax(each.height.height_mm, initial=0.0)) for each in tiles), 0.1)
     drawn, tallest = [], max(len(each.thumbnail) for each in tiles)
     for each in tiles:
@@ -183,8 +198,9 @@ def reference_picture(
     places_px: Sequence[Sequence[float]] = (),
     guess: Disc | None = None,
 ) -> U8:
-    """A reference, uint8 (H, W), with axes in px, uint8 BGR; of a calibration also the visible circle and its middle,
-    the white's outlines, five pitches, and the presses' places (column, row); else the likeliest circle, drawn thinly.
+    """A reference, uint8 (H, W), with axes in px, uint8 BGR; of a calibration also the visible
+    circle and its middle, the white's outlines, five pitches, and the presses' places (column,
+    row); else the likeliest circle, drawn thinly.
     """
     zoom = max(1, SEEN_PX // max(grey.shape))
     picture = cv2.resize(
@@ -225,13 +241,18 @@ def reference_picture(
             cv2.drawMarker(picture, at, (255, 120, 255), cv2.MARKER_TILTED_CROSS, 10, 2)
         end = 8 + round(5 * calibration.pitch_px * zoom)
         cv2.line(picture, (8, len(picture) - 8), (end, len(picture) - 8), _FOUND, 3)
-        text += f"; bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, {calibration.binarisation}"
+        text += (
+            f"; bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, "
+            f"{calibration.binarisation}"
+        )
     x, y = (Axis(f"{name} (px)", 0.5 / zoom - 0.5, 1 / zoom) for name in ("col", "row"))
     return _with_legend(framed(np.asarray(picture, np.uint8), x, y), text)
 
 
 def height_png(height_mm: F32) -> bytes:
-    """A height map (rows, cols) as PNG, three pixels a cell, white outside the disc, beside its colour bar."""
+    """A height map (rows, cols) as PNG, three pixels a cell, white outside the disc,
+    beside its colour bar.
+    """
     top = max(float(np.nanmax(height_mm, initial=0.0)), 0.1)
     picture = _colours(height_mm, 0.0, top, 255).repeat(3, axis=0).repeat(3, axis=1)
     padded = cv2.copyMakeBorder(picture, TOP_PX, BOTTOM_PX, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)
@@ -241,7 +262,9 @@ def height_png(height_mm: F32) -> bytes:
 
 
 def preview(raster: Raster) -> U8:
-    """A stitched map seen from above, y upwards: heights in colours, grey where nothing was touched; axes in mm."""
+    """A stitched map seen from above, y upwards: heights in colours,
+    grey where nothing was touched; axes in mm.
+    """
     low, high = height_span_mm(raster.z_mm)
     rows, cols = raster.z_mm.shape
     stride = max(
@@ -275,7 +298,9 @@ def height_span_mm(z_mm: F32) -> tuple[float, float]:
 
 
 def _colours(values: F32, low: float, high: float, elsewhere: int) -> U8:
-    """Values from `low` to `high` in colours, uint8 BGR; where there is none, the grey `elsewhere`."""
+    """Values from `low` to `high` in colours, uint8 BGR;
+    where there is none, the grey `elsewhere`.
+    """
     level = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1) * 255).astype(np.uint8)
     picture = np.asarray(cv2.applyColorMap(level, _COLOURS), np.uint8)
     picture[~np.isfinite(values)] = elsewhere
@@ -283,7 +308,9 @@ def _colours(values: F32, low: float, high: float, elsewhere: int) -> U8:
 
 
 def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
-    """A map over an image of `size` (width, height): colours from 0 to `top` mm, contact outlined, white outside."""
+    """A map over an image of `size` (width, height):
+    colours from 0 to `top` mm, contact outlined, white outside.
+    """
     level = np.nan_to_num(np.clip(height.height_mm / top, 0, 1) * 255).astype(np.uint8)
     picture = np.asarray(
         cv2.applyColorMap(_over_image(level, height, size, cv2.INTER_LINEAR), _COLOURS), np.uint8
@@ -299,7 +326,9 @@ def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
 
 
 def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
-    """The values of a map's cells resampled to an image of `size` (width, height); 0 outside the map."""
+    """The values of a map's cells resampled to an image of `size` (width, height);
+    0 outside the map.
+    """
     to_cell = np.array(((1, 0, -grid.col0), (0, 1, -grid.row0))) / grid.step_px
     return np.asarray(
         cv2.warpAffine(values, to_cell, size, flags=interpolation | cv2.WARP_INVERSE_MAP), np.uint8

@@ -1,5 +1,6 @@
-"""The files of a run of `replay`, and the comparison of two runs; docs/how-to/replay.md describes the format.
-``summary.json`` marks a complete run, because it is renamed last; only ``timings.json`` depends on the clock.
+"""The files of a run of `replay`, and the comparison of two runs; docs/how-to/replay.md describes
+the format. ``summary.json`` marks a complete run, because it is renamed last; only ``timings.json``
+depends on the clock.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ _DIGITS = {"twist_deg": 3, "slip_mm_s": 3, "probability": 3}
 
 
 class RunWriter:
-    """Writes one run; a folder has a whole run or none, and an earlier one is removed at once. Raises DeviceError."""
+    """Writes one run; a folder has a whole run or none, and an earlier one is removed at once.
+
+    Raises DeviceError.
+    """
 
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
         self._folder = folder
@@ -106,7 +110,10 @@ class RunWriter:
 
 
 def read_summary(folder: Path) -> list[dict[str, Any]]:
-    """The records of a run. Raises ConfigError without a complete run, and DecodeError if the summary is damaged."""
+    """The records of a run.
+
+    Raises ConfigError without a complete run, and DecodeError if the summary is damaged.
+    """
     path = folder / SUMMARY
     try:
         records = json.loads(read_regular(path, _SUMMARY_BYTES_MAX))
@@ -120,14 +127,17 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
         ) from None
     if not (isinstance(records, list) and all(isinstance(r, dict) and "seq" in r for r in records)):
         raise DecodeError(
-            f"{path}: found JSON of another form, expected the summary of a run written by `replay --out`"
+            f"{path}: found JSON of another form, expected the summary of a run written by "
+            "`replay --out`"
         )
     return records
 
 
 def payloads(folder: Path, name: str) -> Iterator[bytes]:
-    """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order. Raises ConfigError if the file is
-    missing, and DecodeError if it is truncated or states an impossible length.
+    """Every payload of ``heights.bin``, ``clouds.bin`` or ``shears.bin``, in order.
+
+    Raises ConfigError if the file is missing, and DecodeError if it is truncated
+    or states an impossible length.
     """
     path = folder / name
     try:
@@ -137,7 +147,8 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
                 if size > wire.PAYLOAD_BYTES_MAX:
                     at = f"{path}, byte {stream.tell() - len(head) + _PAYLOAD_BYTES_AT}"
                     raise DecodeError(
-                        f"{at}: found {size} payload bytes, expected at most {wire.PAYLOAD_BYTES_MAX}"
+                        f"{at}: found {size} payload bytes, expected at most "
+                        f"{wire.PAYLOAD_BYTES_MAX}"
                     )
                 body = stream.read(size)
                 if len(head) < wire.HEADER_BYTES or len(body) < size:
@@ -181,8 +192,10 @@ def _rounded(value: Any, digits: int = 4) -> Any:
 
 
 def first_difference(folder: Path, against: Path) -> str:
-    """The frame, field and size of the first difference, as a line; empty if the runs are the same bytes. Raises
-    ConfigError if a folder has no complete run, and DecodeError if a run is damaged.
+    """The frame, field and size of the first difference, as a line;
+    empty if the runs are the same bytes.
+
+    Raises ConfigError if a folder has no complete run, and DecodeError if a run is damaged.
     """
     runs = folder, against
     records, others = (read_summary(run) for run in runs)
@@ -200,7 +213,8 @@ def first_difference(folder: Path, against: Path) -> str:
                         f"{run / name}: found {index} payloads, expected {len(read_summary(run))}"
                     )
             if not found and one is not None and two is not None and one != two:
-                found = f"{name}: {_difference(_values(one), _values(two)) or 'the bytes differ where no field is'}"
+                difference = _difference(_values(one), _values(two))
+                found = f"{name}: {difference or 'the bytes differ where no field is'}"
         if found:
             return f"frame {index} ({record.get('image')}): {found}"
     return "" if len(records) == len(others) else f"frames: {len(records)}, against {len(others)}"
@@ -212,7 +226,9 @@ def _values(payload: bytes) -> dict[str, Any]:
 
 
 def _difference(one: Any, two: Any) -> str:
-    """The first place where two values, lists or dicts of them differ, and how; empty if they do not."""
+    """The first place where two values, lists or dicts of them differ, and how;
+    empty if they do not.
+    """
     if isinstance(one, np.ndarray) and isinstance(two, np.ndarray):
         if one.shape != two.shape:
             return f"shape {one.shape}, against {two.shape}"
@@ -232,7 +248,10 @@ def _answer(record: dict[str, Any]) -> tuple[Any, bool]:
 
 
 def figures(folder: Path, against: Path) -> list[str]:
-    """Differences in contact and depth over the common frames, a line each. Raises like `first_difference`."""
+    """Differences in contact and depth over the common frames, a line each.
+
+    Raises like `first_difference`.
+    """
     pairs = list(zip(read_summary(folder), read_summary(against), strict=False))
     if not pairs:
         return []
@@ -251,5 +270,8 @@ def figures(folder: Path, against: Path) -> list[str]:
     worst = int(np.argmax(apart_mm))
     return [
         f"contact: differs in {len(changed)} of {len(pairs)} frames{first}",
-        f"depth_max_mm: mean {apart_mm.mean():.4f}, worst {apart_mm[worst]:.4f} mm apart in {places[worst]}",
+        (
+            f"depth_max_mm: mean {apart_mm.mean():.4f}, worst {apart_mm[worst]:.4f} mm apart in "
+            f"{places[worst]}"
+        ),
     ]

@@ -1,6 +1,8 @@
-"""Everything that is known about one sensor, as it is stored (`storage.calibration.calibration_file`).
+"""Everything that is known about one sensor, as it is stored
+(`storage.calibration.calibration_file`).
 
-A number's bounds stand with its field; they hold for a calibration that is made and for one that is read.
+A number's bounds stand with its field; they hold for a calibration that is made and for one
+that is read.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from tacshade_edge.types.known_objects import KnownObject
 Polarity = Literal["bright", "dark"]
 Binarisation = Literal["adaptive", "global", "otsu"]
 
-# Limits that no length (mm or px), scale or factor of a sensor comes near; only a camera distance may be smaller.
+# Limits that no length (mm or px), scale or factor of a sensor comes near;
+# only a camera distance may be smaller.
 _MOST, _LEAST = 1e6, 1e-6
 Size = Annotated[float, Meta(gt=_LEAST, lt=_MOST)]
 Positive = Annotated[float, Meta(gt=0, lt=_MOST)]
@@ -40,8 +43,8 @@ _GEOMETRY: dict[type, dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class ProfileFit:
-    """The presses whose contact a refitted profile found, and errors of their greatest h, each judged by a refit to all
-    the others.
+    """The presses whose contact a refitted profile found, and errors of their greatest h, each
+    judged by a refit to all the others.
     """
 
     presses: Annotated[int, Meta(ge=0, le=10**6)]
@@ -51,8 +54,9 @@ class ProfileFit:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well the presses of a calibration agree with each other (a press's depth predicted from all the others, with
-    ball and place known), located with stated places (0 if none was stated), and with the refitted profiles.
+    """How well the presses of a calibration agree with each other (a press's depth predicted from
+    all the others, with ball and place known), located with stated places (0 if none was stated),
+    and with the refitted profiles.
     """
 
     presses: Annotated[int, Meta(ge=0, le=10**6)]
@@ -63,8 +67,8 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class RestLimits:
-    """What a profile's evidence of a touch exceeds in at most a part of the frames in which nothing touches, measured
-    on images of the untouched skin (`core.contact.rest`).
+    """What a profile's evidence of a touch exceeds in at most a part of the frames in which nothing
+    touches, measured on images of the untouched skin (`core.contact.rest`).
     """
 
     frames: Annotated[int, Meta(ge=1, le=10**9)]  # number of those images
@@ -76,8 +80,10 @@ class RestLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:
-    """A profile's network, trained further on a twin of the sensor (``calibrate --fit``). Errors are of h on presses,
-    where the indenter's surface is known and each indenter counts alike, or without presses on simulated frames.
+    """A profile's network, trained further on a twin of the sensor (``calibrate --fit``).
+
+    Errors are of h on presses, where the indenter's surface is known and each indenter counts
+    alike, or without presses on simulated frames.
     """
 
     layout: str  # of the shipped network that training began with; the weights run in no other
@@ -99,24 +105,31 @@ class FittedNetwork:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchModel:
-    """A touch model: D features, m components, n directions, M centres, K functions, Q quantities, T terms."""
+    """A touch model: D features, m components, n directions, M centres, K functions, Q quantities,
+    T terms.
+    """
 
     names: tuple[str, ...]  # of Q quantities, from `QUANTITIES`
     networks: str  # digest of those that compute the features (`inference.network.touch_networks`)
     mean: F32  # (D,) of each feature over the table
     deviation: F32  # (D,) above 0
-    components: F32  # (D, m): standardised features to coordinates whose mean squares over the table add to 1
+    # (D, m): standardised features to coordinates whose mean squares over the table add to 1.
+    components: F32
     scale: Positive  # length of a standardised feature vector whose coordinates have length 1
     spread: F32  # (m,) standard deviation of each coordinate over the table, descending
     origin: F32  # (m,) coordinates of the untouched skin
     metric: F32
-    """(2 m, n) coordinates and their ratios to the directions in which the quantities change (older: m rows)."""
+    """(2 m, n) coordinates and their ratios to the directions in which the quantities change
+    (older: m rows).
+    """
     gate_part: Annotated[
         float, Meta(ge=0, le=1)
     ]  # part of the picture from whose change on the model answers
     centres: F32  # (M, n)
     width: Positive  # of the squared-exponential kernel
-    basis: F32  # (n + M, K): kernel values to the basis functions that vary most and are uncorrelated over the table
+    # (n + M, K): kernel values to the basis functions that vary most
+    # and are uncorrelated over the table.
+    basis: F32
     weights: F32  # (n + M, Q) of the kernel values in each quantity's mean
     precision: (
         F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
@@ -126,7 +139,8 @@ class TouchModel:
     noise: F32  # (Q,) standard deviation of a label about the model
     low: F32  # (Q,) least label of the table
     high: F32  # (Q,) greatest label of the table
-    leverage_max: Positive  # a frame is unlike the table's beyond this `leverage` of its coordinates, or beyond this
+    # A frame is unlike the table's beyond this `leverage` of its coordinates, or beyond this.
+    leverage_max: Positive
     residual_max: Positive  # share of its standardised features that the components leave out
     imprint_weights: (
         F32  # (T, I): terms of the predicted quantities to their imprint (`core.touch.answer`)
@@ -134,7 +148,8 @@ class TouchModel:
     imprint_precision: (
         F32  # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I
     )
-    imprint_max: Positive  # greatest squared distance of an imprint; beyond it an object is unlike the table's
+    # Greatest squared distance of an imprint; beyond it an object is unlike the table's.
+    imprint_max: Positive
 
     def __post_init__(self) -> None:
         freeze(self, *TOUCH_ARRAYS)
@@ -144,7 +159,8 @@ class TouchModel:
             array: F32 = getattr(self, name)
             if array.dtype != np.float32 or not array.size or array.ndim != len(letters):
                 raise ValueError(
-                    f"touch model: {name} is {array.dtype} {array.shape}, expected float32 {letters}"
+                    f"touch model: {name} is {array.dtype} {array.shape}, "
+                    f"expected float32 {letters}"
                 )
             if not np.isfinite(array).all():
                 raise ValueError(f"touch model: {name} has a value that is not finite")
@@ -187,25 +203,21 @@ class Calibration:
 
     geometry: Geometry
     polarity: Polarity  # bright when contact raises the white ratio
-    binarisation: (
-        Binarisation  # method that made `reference_white`; frames must be binarised the same way
-    )
+    # Method that made `reference_white`; frames must be binarised the same way.
+    binarisation: Binarisation
     image_height_px: int  # of every frame
     image_width_px: int
     pitch_px: Size  # of the markers at the middle of the disc
-    reference_white: U8  # (H, W), 255 times the mean of the references' binarised images; g0 is its box mean (eq. 1)
-    reference_grey: (
-        U8  # (H, W), mean of the references' images: the light, and the surround that must not move
-    )
-    noise_grey: Annotated[
-        float, Meta(ge=0, le=255)
-    ]  # RMS of g between the references (eq. 1), grey levels
-    alpha: Annotated[
-        float, Meta(ge=0, lt=_MOST)
-    ]  # the paper's α: depth of a normalised height of 1, in px
-    alpha_grey: Annotated[float, Meta(ge=0, le=255)] = (
-        0.0  # RMS of g_d (eq. 9) over the disc to which α belongs, which grows with it; 0: α is constant
-    )
+    # (H, W), 255 times the mean of the references' binarised images; g0 is its box mean (eq. 1).
+    reference_white: U8
+    # (H, W), mean of the references' images: the light, and the surround that must not move.
+    reference_grey: U8
+    # RMS of g between the references (eq. 1), grey levels.
+    noise_grey: Annotated[float, Meta(ge=0, le=255)]
+    # The paper's α: depth of a normalised height of 1, in px.
+    alpha: Annotated[float, Meta(ge=0, lt=_MOST)]
+    # RMS of g_d (eq. 9) over the disc to which α belongs, which grows with it; 0: α is constant.
+    alpha_grey: Annotated[float, Meta(ge=0, le=255)] = 0.0
     factors: Mapping[str, Size] = field(
         default_factory=dict
     )  # on h, of each profile refitted to presses
@@ -226,7 +238,8 @@ class Calibration:
         IDENTITY_POSE
     )
     crc32: int = 0  # of the stored content; 0 until it is stored
-    # Objects by name, of each profile; `storage.calibration.objects_file` stores them in a file of their own.
+    # Objects by name, of each profile; `storage.calibration.objects_file` stores them in a file
+    # of their own.
     known: Mapping[str, tuple[KnownObject, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -236,7 +249,9 @@ class Calibration:
         _require_geometry(self.geometry)
 
     def error_scale(self, profile: str) -> float | None:
-        """Factor on σ of the network that the profile runs, fitted or shipped; None if no presses have shown it."""
+        """Factor on σ of the network that the profile runs, fitted or shipped;
+        None if no presses have shown it.
+        """
         fitted = self.fitted.get(profile)
         return self.error_scales.get(profile) if fitted is None else fitted.error_scale
 
@@ -255,7 +270,9 @@ def _require_geometry(geometry: Geometry) -> None:
 
 
 def require_bounds(record: Any) -> None:
-    """Raise ValueError if a number of a dataclass, or in a mapping or tuple of it, is NaN or outside its bounds."""
+    """Raise ValueError if a number of a dataclass, or in a mapping or tuple of it,
+    is NaN or outside its bounds.
+    """
     kind: Any = type(record)  # mypy takes no type for hashable
     for name, bounds in _bounds(kind).items():
         given = getattr(record, name)

@@ -1,4 +1,6 @@
-"""Arrays by element and records of read-only arrays; a camera's image and its pose; skin, camera and visible circle."""
+"""Arrays by element and records of read-only arrays; a camera's image and its pose;
+skin, camera and visible circle.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ Record = TypeVar("Record")
 
 @dataclass_transform(frozen_default=True, eq_default=False)
 def frozen(cls: type[Record]) -> type[Record]:
-    """Make a frozen dataclass with slots, equal only to itself, whose arrays are read-only views."""
+    """Make a frozen dataclass with slots, equal only to itself,
+    whose arrays are read-only views.
+    """
     names = tuple(cls.__annotations__)
 
     def __post_init__(self: Record) -> None:
@@ -65,7 +69,8 @@ class Pose:
 class Frame:
     """One image of the sensor's camera, uint8 (H, W) grey or (H, W, 3) BGR."""
 
-    seq: int  # counts the frames of this source from 0; a gap marks frames that the source knows it lost
+    # Counts the frames of this source from 0; a gap marks frames that the source knows it lost.
+    seq: int
     t_ns: int  # capture time, CLOCK_MONOTONIC
     wall_ns: int  # the same instant as Unix time, for metadata only
     image: U8
@@ -85,16 +90,19 @@ class Disc:
 
 
 Skin = Literal["dome", "pad"]
-# The half angle of a dome that shows as much as a pad does, degrees; below that of any dome that networks learnt from.
+# The half angle of a dome that shows as much as a pad does, degrees;
+# below that of any dome that networks learnt from.
 _LEAST_HALF_ANGLE_DEG = 40.0
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Skin, camera and visible circle. `skin_radius_mm` is r of the undeformed dome, centred at O; `camera_distance_mm`
-    d, for a lens at (0, 0, -d) (None: the paper's orthographic camera); `visible_half_angle_deg` θ of the visible
-    circle, at O from +z. A pad is flat (r infinite, θ = 0): its skin at rest is the plane z = 0, O is the middle of its
-    visible circle, and `pad_radius_mm` the circle's radius.
+    """Skin, camera and visible circle.
+
+    `skin_radius_mm` is r of the undeformed dome, centred at O; `camera_distance_mm` d, for a lens
+    at (0, 0, -d) (None: the paper's orthographic camera); `visible_half_angle_deg` θ of the visible
+    circle, at O from +z. A pad is flat (r infinite, θ = 0): its skin at rest is the plane z = 0, O
+    is the middle of its visible circle, and `pad_radius_mm` the circle's radius.
     """
 
     skin_radius_mm: float
@@ -110,15 +118,18 @@ class Geometry:
 
     @property
     def visible_radius_mm(self) -> float:
-        """Radius of the visible circle on the undeformed skin, in a plane across the axis (a dome's: r sinθ)."""
+        """Radius of the visible circle on the undeformed skin,
+        in a plane across the axis (a dome's: r sinθ).
+        """
         if self.pad_radius_mm is not None:
             return self.pad_radius_mm
         return self.skin_radius_mm * math.sin(math.radians(self.visible_half_angle_deg))
 
     @property
     def size_mm(self) -> float:
-        """The length with which sizes of presses and tolerances scale: a dome's radius; for a skin that is flat, or
-        flatter than the networks know, the radius of a dome with the same visible circle.
+        """The length with which sizes of presses and tolerances scale: a dome's radius; for a skin
+        that is flat, or flatter than the networks know, the radius of a dome with the same visible
+        circle.
         """
         least = math.sin(math.radians(_LEAST_HALF_ANGLE_DEG))
         return min(self.skin_radius_mm, self.visible_radius_mm / least)
@@ -130,7 +141,9 @@ class Geometry:
 
     @property
     def height_max_mm(self) -> float:
-        """The greatest h that a skin can have: a dome's reaches O, a pad's the lens, or its size without one."""
+        """The greatest h that a skin can have: a dome's reaches O, a pad's the lens,
+        or its size without one.
+        """
         if self.pad_radius_mm is None:
             return self.skin_radius_mm
         return self.camera_distance_mm or self.size_mm

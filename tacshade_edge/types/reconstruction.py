@@ -30,9 +30,10 @@ QUANTITIES = (
 
 @frozen
 class HeightMap:
-    """Radial deformation on a grid of the image; grid cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
-    `height_mm`, float32 (rows, cols), is h, positive inwards, of the deformed skin point that the pixel's ray meets, or
-    NaN outside the disc; `contact`, bool (rows, cols), is where the skin touches an object.
+    """Radial deformation on a grid of the image; grid cell (i, j) is image pixel (row0 + i·step_px,
+    col0 + j·step_px). `height_mm`, float32 (rows, cols), is h, positive inwards, of the deformed
+    skin point that the pixel's ray meets, or NaN outside the disc; `contact`, bool (rows, cols), is
+    where the skin touches an object.
     """
 
     height_mm: F32
@@ -44,15 +45,18 @@ class HeightMap:
 
 @frozen
 class ObjectCloud:
-    """Points of the contacted skin, float32 (N, 3), x, y, z in the sensor frame; uint16 object numbers (N,) from 1."""
+    """Points of the contacted skin, float32 (N, 3), x, y, z in the sensor frame;
+    uint16 object numbers (N,) from 1.
+    """
 
     points_mm: F32
     labels: U16
 
 
 class Need(Flag):
-    """How much of a frame is requested: shear and the error of depth include depth, a touch includes shear and depth.
-    Every bit has a name (``ONLY``): Python 3.11.2 (Debian 12) drops unnamed bits from a union.
+    """How much of a frame is requested: shear and the error of depth include depth, a touch
+    includes shear and depth. Every bit has a name (``ONLY``): Python 3.11.2 (Debian 12) drops
+    unnamed bits from a union.
     """
 
     CONTACT = 0
@@ -78,12 +82,14 @@ class Slip(IntEnum):
 class TouchedObject:
     """One object in contact, in order of area from label 1; lengths in mm, in the sensor frame.
 
-    `centroid_mm` and `extent_mm` are mean, and max - min, of its points, `depth_max_mm` its greatest h, `normal` that
-    of the plane through its points, away from the camera. `shear_mm` is the mean shear of its skin (None if the solver
-    reports none), `twist_deg` the angle about z, from x towards y, of that skin's rotation (None also for a tiny
-    contact), `strain_mm` the RMS of the rest, 0 for skin that is held. None for a single image: `id`, the same while
-    the object touches, `slip`, and `slip_mm_s`, the speed of its imprint over the skin. `name` is that of the taught
-    object that it is, `probability` how probably; both are None if it is none of them or nothing is taught.
+    `centroid_mm` and `extent_mm` are mean, and max - min, of its points, `depth_max_mm` its
+    greatest h, `normal` that of the plane through its points, away from the camera. `shear_mm` is
+    the mean shear of its skin (None if the solver reports none), `twist_deg` the angle about z,
+    from x towards y, of that skin's rotation (None also for a tiny contact), `strain_mm` the RMS of
+    the rest, 0 for skin that is held. None for a single image: `id`, the same while the object
+    touches, `slip`, and `slip_mm_s`, the speed of its imprint over the skin. `name` is that of the
+    taught object that it is, `probability` how probably; both are None if it is none of them or
+    nothing is taught.
     """
 
     label: int
@@ -104,8 +110,8 @@ class TouchedObject:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Value and standard deviation of each quantity, in the unit of its name, or None if the model does not know it;
-    and why not.
+    """Value and standard deviation of each quantity, in the unit of its name, or None if the model
+    does not know it; and why not.
     """
 
     values: Mapping[str, float | None] = field(default_factory=dict)
@@ -121,7 +127,8 @@ class Reconstruction:
     t_ns: int
     wall_ns: int
     profile: str
-    valid: bool  # False: the frame could not be used, `reason` says why, and height is 0 inside the disc
+    # False: the frame could not be used, `reason` says why, and height is 0 inside the disc.
+    valid: bool
     reason: Reason | None
     contact: bool  # without contact, height is exactly 0 inside the disc and the cloud is empty
     saturated: bool  # the grey left the range that the calibration covers: depth is a lower bound
@@ -131,8 +138,8 @@ class Reconstruction:
     objects: tuple[TouchedObject, ...] = ()  # in the order of their labels, the greatest first
     volume_mm3: float = 0.0  # displaced under the contacts
     repaired_px: int = 0  # pixels whose solver value was not finite and was replaced
-    # (rows, cols, 2) on the grid of `height`: along x and y, from any cause, of the skin that a cell's ray meets; NaN
-    # outside the disc, 0 without contact.
+    # (rows, cols, 2) on the grid of `height`: along x and y, from any cause, of the skin that a
+    # cell's ray meets; NaN outside the disc, 0 without contact.
     shear_mm: F32 | None = None
     sigma_mm: F32 | None = None  # (rows, cols), standard deviation of `height` in contact, else NaN
     untrusted: Bool | None = (
@@ -145,7 +152,9 @@ class Reconstruction:
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:
-        """Mean shear over all cells of the contact, mm; None without contact or if the solver reports none."""
+        """Mean shear over all cells of the contact, mm;
+        None without contact or if the solver reports none.
+        """
         if self.shear_mm is None or not self.contact:
             return None
         if len(self.objects) == 1:

@@ -45,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             nargs="+",
             default=[],
         )
-        listen = f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, this machine only)"
+        listen = (
+            f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, "
+            "this machine only)"
+        )
         add_option(
             kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port)
         )

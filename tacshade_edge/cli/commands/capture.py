@@ -1,4 +1,6 @@
-"""``tacshade-edge capture``: takes a sensor's references and presses, or labelled frames, together with the user."""
+"""``tacshade-edge capture``: takes a sensor's references and presses, or labelled frames,
+together with the user.
+"""
 
 from __future__ import annotations
 
@@ -41,9 +43,14 @@ from tacshade_edge.types import Frame, Pose, Skin
 _CALIBRATION = "calibration.npz"
 _QUESTIONS = {
     "skin_radius_mm": "Radius of the undeformed skin, mm (pad: the skin is flat):",
-    "visible_half_angle_deg": "Half angle of the part of the skin that the camera sees, at the skin's centre, degrees:",
+    "visible_half_angle_deg": (
+        "Half angle of the part of the skin that the camera sees, at the skin's centre, degrees:"
+    ),
     "camera_distance_mm": "Distance of the lens behind the skin's centre, mm (Enter if unknown):",
-    "polarity": "Does a press show more white (bright, a TacShade) or less (dark, a TacTip)? (Enter if unknown)",
+    "polarity": (
+        "Does a press show more white (bright, a TacShade) or less (dark, "
+        "a TacTip)? (Enter if unknown)"
+    ),
 }
 _PAD_QUESTIONS = {
     "visible_radius_mm": "Radius of the circle of skin that the camera sees, mm:",
@@ -64,11 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     text = "folder to write to; an interrupted capture continues where it stopped"
     add_option(what, "folder", "DIR", text, nargs="?")
-    text = "write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), then exit"
+    text = (
+        "write printable indenters (STL), INDENTERS.yaml and a plan of presses (PLAN.csv), "
+        "then exit"
+    )
     add_option(what, "--indenters", "DIR", text)
-    text = "add labelled frames to DIR/LABELS.csv; you type the labels, or a robot or scale supplies them"
+    text = (
+        "add labelled frames to DIR/LABELS.csv; you type the labels, "
+        "or a robot or scale supplies them"
+    )
     add_option(what, "--labels", "DIR", text)
-    text = f"with --labels: read a scale on this serial port; the scale must send numbers with units at {BAUD} baud"
+    text = (
+        "with --labels: read a scale on this serial port; the scale must send numbers with units "
+        f"at {BAUD} baud"
+    )
     add_option(parser, "--scale", "DEVICE[:BAUD]", text, str)
     camera = parser.add_mutually_exclusive_group()
     add_option(camera, "--camera", "DEVICE", "camera to use, if the machine has several", str)
@@ -118,7 +134,10 @@ def run(args: argparse.Namespace) -> int:
     except InputEnded:
         terminal.say("")
     except KeyboardInterrupt:
-        words = f"tacshade-edge capture {'--labels ' if args.labels else ''}{shlex.quote(str(folder.path))}"
+        words = (
+            "tacshade-edge capture "
+            f"{'--labels ' if args.labels else ''}{shlex.quote(str(folder.path))}"
+        )
         terminal.say(f"\neverything taken so far is kept; to continue, run: {words}")
         raise
     except DeviceError as error:
@@ -142,7 +161,8 @@ def _camera(
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
         if described.get("exposure_lock") == Lock.AUTOMATIC:
             terminal.say(
-                "warning: the driver does not lock the exposure, and changes in exposure look like touches"
+                "warning: the driver does not lock the exposure, "
+                "and changes in exposure look like touches"
             )
         if not folder.settings.exists():
             folder.write(folder.settings, _settings_text(chosen, serial, described))
@@ -152,7 +172,9 @@ def _camera(
 
 @contextlib.contextmanager
 def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
-    """Serve the robot's serial line as the daemon does, but requests have no effect; yields None without a robot."""
+    """Serve the robot's serial line as the daemon does, but requests have no effect;
+    yields None without a robot.
+    """
     if serial is None or (port := sources.make_serial_port(serial)) is None:
         yield None
         return
@@ -168,7 +190,10 @@ def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
         robot.poll()
         status = json.loads(statuses[-1])
         why = status["reason"] or f"clock {status.get('sync')}"
-        return f"the robot reported no pose for this picture ({serial.device} is {status['state']}: {why})"
+        return (
+            f"the robot reported no pose for this picture ({serial.device} is {status['state']}: "
+            f"{why})"
+        )
 
     robot.start()
     try:
@@ -178,7 +203,10 @@ def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
 
 
 def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Serial | None]:
-    """The camera and robot of the settings, else the camera of --camera, else the only one. Raises ConfigError."""
+    """The camera and robot of the settings, else the camera of --camera, else the only one.
+
+    Raises ConfigError.
+    """
     device: str | None = args.camera
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
@@ -234,11 +262,18 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
         else {}
     )
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True)
-    return f"# Settings for `tacshade-edge run` and to continue this capture.\n{text}# As the camera reported:\n{found}"
+    return (
+        "# Settings for `tacshade-edge run` and to continue this capture.\n"
+        f"{text}# As the camera reported:\n"
+        f"{found}"
+    )
 
 
 def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
-    """Read SENSOR.yaml; if there is none, ask the user for its values first. Raises ConfigError, InputEnded."""
+    """Read SENSOR.yaml; if there is none, ask the user for its values first.
+
+    Raises ConfigError, InputEnded.
+    """
     if not folder.sensor.exists():
         values = _answers(terminal, _QUESTIONS, "dome")
         if values is None:
@@ -250,7 +285,10 @@ def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
 def _answers(
     terminal: Terminal, questions: Mapping[str, str], skin: Skin
 ) -> dict[str, float | str] | None:
-    """The user's values for the keys of a dome or a pad; None if a dome turns out to be a pad. Raises InputEnded."""
+    """The user's values for the keys of a dome or a pad; None if a dome turns out to be a pad.
+
+    Raises InputEnded.
+    """
     values: dict[str, float | str] = {}
     for key, question in questions.items():
         while key not in values:
@@ -290,7 +328,10 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
         if any(one.stated.columns[0] != BALL for one in taken):
             words += f" --indenters {at}/{folder.indenters.name}"
     else:
-        more = f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; run the same command to take more"
+        more = (
+            f"a scale from presses needs {MIN_PRESSES}, 20 to 40 are better; "
+            "run the same command to take more"
+        )
         terminal.say(f"{counted(len(taken), 'press')}: {more}")
     calibrate = f"{'next:' if labels else NEXT_FIT}\n  {words}{fit} --out {at}/{_CALIBRATION}"
     terminal.say(f"{calibrate}\n  tacshade-edge run --config {at}/{folder.settings.name}")

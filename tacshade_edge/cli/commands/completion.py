@@ -1,4 +1,6 @@
-"""``tacshade-edge completion``: prints a script for bash, zsh or tcsh; pressing TAB then runs none of our code."""
+"""``tacshade-edge completion``: prints a script for bash, zsh or tcsh;
+pressing TAB then runs none of our code.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,9 @@ from tacshade_edge.cli.shared.options import need
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
-        "For bash, run: tacshade-edge completion bash > ~/.local/share/bash-completion/completions/tacshade-edge; for "
-        "zsh, run: tacshade-edge completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
+        "For bash, run: tacshade-edge completion bash > "
+        "~/.local/share/bash-completion/completions/tacshade-edge; for zsh, run: tacshade-edge "
+        "completion zsh > DIR/_tacshade-edge, where DIR is in $fpath. Then open a new shell."
     )
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
 

@@ -95,12 +95,17 @@ def run(args: argparse.Namespace) -> int:
 
     def listening(host: str, port: int) -> None:
         name = socket.gethostname() if host in ANY else host
-        page = f"{'https' if tls else 'http'}://{in_url(name)}:{port}/{f'login#{token}' if is_new else ''}"
+        scheme = "https" if tls else "http"
+        path = f"login#{token}" if is_new else ""
+        page = f"{scheme}://{in_url(name)}:{port}/{path}"
         how = ", read-only" if read_only else ""
         how += f", token in {args.token_file}" if args.token_file else ""
         print(f"dashboard: {page} for the broker {broker}{how}; press Ctrl-C to stop", flush=True)
         if is_opened and not tls:
-            text = "no encryption: others on the network can read the token and the page (see --certificate)"
+            text = (
+                "no encryption: others on the network can read the token and the page (see "
+                "--certificate)"
+            )
             print(f"dashboard: {text}", file=sys.stderr)
 
     async def serve() -> None:
@@ -169,7 +174,10 @@ def read_token(path: Path) -> str | None:
 
 
 def make_token(path: Path | None) -> str:
-    """Return a new token and, given a path, write it to a new file that only this user can read. Raises ConfigError."""
+    """Return a new token and, given a path, write it to a new file that only this user can read.
+
+    Raises ConfigError.
+    """
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     if path is not None:
         try:
@@ -190,7 +198,8 @@ def server_tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | N
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
-        # Without this password, OpenSSL would prompt for one at the terminal if the key is encrypted.
+        # Without this password, OpenSSL would prompt for one at the terminal
+        # if the key is encrypted.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except OSError as error:
         shown = f"--certificate {certificate}" + (f" --key {key}" if key else "")

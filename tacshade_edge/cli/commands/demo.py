@@ -1,4 +1,6 @@
-"""``tacshade-edge demo``: simulated sensors or a hand, the real daemon, a private broker and the dashboard."""
+"""``tacshade-edge demo``: simulated sensors or a hand, the real daemon,
+a private broker and the dashboard.
+"""
 
 from __future__ import annotations
 
@@ -52,14 +54,18 @@ def run(args: argparse.Namespace) -> int:
     asked = threading.Event()
 
     def stop(*_: object) -> None:
-        """Interrupt the current work and stop the children; a second Ctrl-C does not interrupt that."""
+        """Interrupt the current work and stop the children;
+        a second Ctrl-C does not interrupt that.
+        """
         for number in STOP_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         asked.set()
         raise KeyboardInterrupt
 
     def end_if_asked() -> None:
-        """Raise the interrupt again if it was lost, as it is when raised in a destructor or a library's callback."""
+        """Raise the interrupt again if it was lost, as it is when raised in a destructor
+        or a library's callback.
+        """
         if asked.is_set():
             raise KeyboardInterrupt
 

@@ -1,4 +1,6 @@
-"""``tacshade-edge doctor``: finds faults of a sensor and its machine and suggests fixes, or judges pictures."""
+"""``tacshade-edge doctor``: finds faults of a sensor and its machine and suggests fixes,
+or judges pictures.
+"""
 
 from __future__ import annotations
 
@@ -127,7 +129,9 @@ def _calibration(args: argparse.Namespace) -> Calibration:
 
 
 def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_json: bool) -> int:
-    """Print what the judges say of each picture, and which maps do not explain theirs; return 1 if one is refused."""
+    """Print what the judges say of each picture, and which maps do not explain theirs;
+    return 1 if one is refused.
+    """
     judged = list(judge_pictures(calibration, profile, images_in(paths)))
     left = _shares_left(calibration, profile, [each.path for each in judged if not each.reason])
     if as_json:
@@ -155,8 +159,8 @@ def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_
 def _shares_left(
     calibration: Calibration, profile: str, paths: Sequence[Path]
 ) -> dict[Path, float]:
-    """The share of each picture's change that its map leaves unexplained, of those that changed; without the extra
-    `fit`, for a flat skin, and for a profile without a network nothing is known.
+    """The share of each picture's change that its map leaves unexplained, of those that changed;
+    without the extra `fit`, for a flat skin, and for a profile without a network nothing is known.
     """
     known = PROFILES[profile].network is not None and not is_flat(calibration.geometry)
     if not paths or not known or not all(map(find_spec, ("numba", "scipy"))):

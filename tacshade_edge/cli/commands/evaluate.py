@@ -1,4 +1,6 @@
-"""``tacshade-edge evaluate``: the paper's Experiment 1 on simulated sensors, or a score of the user's own images."""
+"""``tacshade-edge evaluate``: the paper's Experiment 1 on simulated sensors,
+or a score of the user's own images.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,9 @@ def _publish(args: argparse.Namespace, rows: Sequence[Row], settings: Mapping[st
 
 
 def _labelled(args: argparse.Namespace) -> int:
-    """Reconstruct each frame on its own, print how well the results follow the labels, and write rows."""
+    """Reconstruct each frame on its own, print how well the results follow the labels,
+    and write rows.
+    """
     if given := [name for name in SIMULATED if getattr(args, name) is not None]:
         args.parser.error(f"--{given[0]} cannot be used with --labels")
     if args.images is None or args.calibration is None:
@@ -151,7 +155,8 @@ def _labelled(args: argparse.Namespace) -> int:
     study.publish(args, "labels", *texts, labels.document(every, made_of))
     if not any(row.contact or not row.refused for row in every):
         warn(
-            f"{args.images}: every frame is invalid, the first: {refused}; are they this calibration's?"
+            f"{args.images}: every frame is invalid, the first: {refused}; are they this "
+            "calibration's?"
         )
         return 1
     return 1 if mistakes else 0

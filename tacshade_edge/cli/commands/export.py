@@ -35,7 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_profile(parser)
     text = "file to create (for ply: folder to create; default: next to the recording)"
     add_option(parser, "--out", "PATH", text)
-    text = "recording that `replay` can read; to export a hand (csv or mcap), give one recording per finger"
+    text = (
+        "recording that `replay` can read; to export a hand (csv or mcap), "
+        "give one recording per finger"
+    )
     add_option(parser, "input", "RECORDING", text, nargs="+")
 
 
@@ -64,7 +67,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _export_hand(args: argparse.Namespace) -> int:
-    """Export what the recorded fingers' hand would have published; log unreadable images and then return 1."""
+    """Export what the recorded fingers' hand would have published;
+    log unreadable images and then return 1.
+    """
     if args.to not in ("csv", "mcap"):
         raise ConfigError(
             f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap"
@@ -74,7 +79,8 @@ def _export_hand(args: argparse.Namespace) -> int:
         raise ConfigError(f"--calibration: found a calibration for several recordings, {expected}")
     if args.out is None:
         raise ConfigError(
-            "--out: found no file name, expected the name of a new file to export several recordings to"
+            "--out: found no file name, expected the name of a new file to export several "
+            "recordings to"
         )
     from tacshade_edge.factories.hand_recordings import read_hand
 
@@ -89,7 +95,8 @@ def _export_hand(args: argparse.Namespace) -> int:
         count = write_hand_csv(args.out, hand.fingers, hand.messages)
     left_out = f", {counted(len(hand.unread), 'image')} unreadable" if hand.unread else ""
     print(
-        f"{args.out}: {counted(count, 'message')} of {counted(len(hand.fingers), 'finger')}{left_out}"
+        f"{args.out}: {counted(count, 'message')} of "
+        f"{counted(len(hand.fingers), 'finger')}{left_out}"
     )
     return 1 if hand.unread else 0
 
@@ -130,7 +137,10 @@ def _beside(recording: Path, to: str) -> Path:
 
 
 def _calibration(recording: Path, given: Path | None) -> Calibration:
-    """Return the given calibration, or else the recording's own. Raises ConfigError if there is neither."""
+    """Return the given calibration, or else the recording's own.
+
+    Raises ConfigError if there is neither.
+    """
     own = calibrations.of_recording(recording) if given is None else calibrations.load(given)
     if own is None:
         raise ConfigError(

@@ -43,7 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True
     )
-    text = f"also write a picture of each image's height map, and {SHEET} of at most {SHEET_TILES} images"
+    text = (
+        "also write a picture of each image's height map, "
+        f"and {SHEET} of at most {SHEET_TILES} images"
+    )
     add_flag(parser, "--plot", text)
     add_flag(parser, "--json", "print the summary as JSON")
     add_option(
@@ -56,7 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct every image; report each unreadable or invalid one, continue, and then return 1."""
+    """Reconstruct every image; report each unreadable or invalid one, continue,
+    and then return 1.
+    """
     images, stems = images_in(args.images), set[str]()
     for path in images:
         if path.stem in stems:

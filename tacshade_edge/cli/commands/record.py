@@ -1,4 +1,6 @@
-"""``tacshade-edge record``: requests a recording from the running daemon and waits until it is complete."""
+"""``tacshade-edge record``: requests a recording from the running daemon and waits
+until it is complete.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +43,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seconds = number(
         f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX
     )
-    text = "seconds to record; Ctrl-C stops earlier (640x480 at 30 frames/s: 6 MB/s if grey, 17 MB/s in colour)"
+    text = (
+        "seconds to record; Ctrl-C stops earlier (640x480 at 30 frames/s: 6 MB/s if grey, "
+        "17 MB/s in colour)"
+    )
     add_option(parser, "--seconds", "N", text, seconds, required=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record. Raises DeviceError if anything except the time or a user ended the recording, or if no frame came."""
+    """Record.
+
+    Raises DeviceError if anything except the time or a user ended the recording,
+    or if no frame came.
+    """
     document = load(args.config, args.sensor)
     links.check_broker_files(document)
     stop = threading.Event()
@@ -69,7 +78,8 @@ def run(args: argparse.Namespace) -> int:
     dropped = f", {ended['dropped']} dropped" if ended["dropped"] else ""
     early = f" ({ended['ending']})" if ended["ending_code"] != ReasonCode.TIME else ""
     print(
-        f"{folder}: {counted(ended['frames'], 'frame')}, {ended['bytes'] / 1e6:.1f} MB{dropped}{early}"
+        f"{folder}: {counted(ended['frames'], 'frame')}, {ended['bytes'] / 1e6:.1f} "
+        f"MB{dropped}{early}"
     )
     if reason := ended.get("reason"):  # as in `status/recorder`
         raise DeviceError(
@@ -110,7 +120,10 @@ def _follow(
 
 
 def _last_words(caller: MqttCaller, folder: str) -> dict[str, Any]:
-    """Return the last status of a recording that must be over. Raises DeviceError if the daemon does not report it."""
+    """Return the last status of a recording that must be over.
+
+    Raises DeviceError if the daemon does not report it.
+    """
     if caller.wait_for(lambda: _over(_status(caller, folder)), ANSWER_S):
         return _status(caller, folder)
     state = caller.latest("state").decode() or "silent"

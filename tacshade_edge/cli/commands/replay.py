@@ -121,7 +121,10 @@ def _mistake(args: argparse.Namespace) -> str:
     if out is None and not has_broker:
         return "expected --out DIR, a broker (--mqtt HOST:PORT or --config FILE), or both"
     if args.play and (out is not None or not has_broker or args.loop != 1):
-        return "--play serves a dashboard, expected --mqtt HOST:PORT or --config FILE, and neither --out nor --loop"
+        return (
+            "--play serves a dashboard, expected --mqtt HOST:PORT or --config FILE, and neither "
+            "--out nor --loop"
+        )
     if args.loop == 0 and out is not None:
         return "--loop 0 never ends and would fill --out DIR, expected at least 1"
     if out is not None and against is not None and out.resolve() == against.resolve():
@@ -169,7 +172,8 @@ def _replay(args: argparse.Namespace) -> int:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)
             sinks.append(writer.add)
-        # `progress` counts a frame after all sinks, so add one. With --play, the user may repeat frames: no total.
+        # `progress` counts a frame after all sinks, so add one.
+        # With --play, the user may repeat frames: no total.
         total, speed = (None, None) if args.play else (recording.frames, args.speed)
         sinks.append(lambda *_: shown("frames", progress.frames + 1, total))
         try:

@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until SIGTERM, SIGINT, or a finite source's end; SIGHUP reloads. Several sensors have a process each."""
+    """Run until SIGTERM, SIGINT, or a finite source's end; SIGHUP reloads.
+
+    Several sensors have a process each.
+    """
     start_logging(args.log_level)
     documents = load_all(args.config)
     if not documents[0].several:

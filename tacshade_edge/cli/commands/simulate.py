@@ -1,4 +1,6 @@
-"""``tacshade-edge simulate``: writes simulated images with ground truth, a calibration set, or a scanned touchpad."""
+"""``tacshade-edge simulate``: writes simulated images with ground truth, a calibration set,
+or a scanned touchpad.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,8 @@ recorder: {folder: recordings}
 _SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
 _PAD_SEED, _PAD_DEPTH_MM = 500_000, 2.7  # deep: below the bulges' tops
 _TRUTH_STEP_MM = 0.25
-# Standard deviations of the noise in POSES_NOISY.csv: along each axis, and about a random one through the skin's apex.
+# Standard deviations of the noise in POSES_NOISY.csv:
+# along each axis, and about a random one through the skin's apex.
 _NOISE_MM, _NOISE_DEG = 0.3, 1.0
 
 
@@ -191,7 +194,8 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         progress("presses", k + 1, count)
     _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
     print(
-        f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, PRESSES.csv"
+        f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, "
+        "PRESSES.csv"
     )
     at = shlex.quote(str(folder))
     print(NEXT_FIT)
@@ -279,7 +283,10 @@ def write_pad(
     seed: int,
     cluster: str | None = None,
 ) -> None:
-    """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth. Raises OSError."""
+    """Press all over the paper's touchpad (Fig. 7): images, poses, references and the truth.
+
+    Raises OSError.
+    """
     pad, apex_mm = pads.touchpad(), model.geometry.apex_z_mm
     if not 0.5 <= step_mm <= 20:
         raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, expected 0.5 to 20 mm")

@@ -1,4 +1,6 @@
-"""``tacshade-edge stitch``: combines images and poses into one map, or finds the sensor's pose on the flange."""
+"""``tacshade-edge stitch``: combines images and poses into one map,
+or finds the sensor's pose on the flange.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stitch; map.json lists unusable presses, and stderr also lists unreadable images, for which it returns 1."""
+    """Stitch; map.json lists unusable presses, and stderr also lists unreadable images,
+    for which it returns 1.
+    """
     if args.find_flange and args.truth is not None:
         raise ConfigError("--truth: found --find-flange as well, expected only one of the two")
     if args.find_flange and args.fusion != TILES:
@@ -173,7 +177,10 @@ def report_flange(
     *,
     as_json: bool,
 ) -> None:
-    """Find, write and print flange_T_sensor and the delay. Raises ConfigError if the presses do not determine them."""
+    """Find, write and print flange_T_sensor and the delay.
+
+    Raises ConfigError if the presses do not determine them.
+    """
     presses = len({frame.press for frame in frames})
     if presses < PRESSES_MIN:
         expected = f"expected at least {PRESSES_MIN} presses {_PLAN}"
@@ -187,8 +194,9 @@ def report_flange(
     moved_mm, turned_deg = correction(start, found.flange_T_sensor, np.zeros(3))
     if moved_mm > START_MM or turned_deg > START_DEG:
         raise ConfigError(
-            f"{where}: found flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from the calibration's, "
-            f"expected at most {START_MM:g} mm and {START_DEG:g} degrees; is base_T_flange in mm?"
+            f"{where}: found flange_T_sensor {moved_mm:.0f} mm and {turned_deg:.0f} degrees from "
+            f"the calibration's, expected at most {START_MM:g} mm and {START_DEG:g} degrees; is "
+            "base_T_flange in mm?"
         )
     seen = delay_seen(found)
     write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))
@@ -196,7 +204,8 @@ def report_flange(
         print((out / FLANGE).read_text(encoding="utf-8"), end="")
         return
     print(
-        f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from the calibration's"
+        f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from "
+        "the calibration's"
     )
     sigma = np.sqrt(np.diag(found.covariance))
     values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
@@ -204,7 +213,8 @@ def report_flange(
     print(f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  # {within}")
     if seen:
         print(
-            f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) later than the robot's poses"
+            f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) "
+            "later than the robot's poses"
         )
     else:
         expected = "expected a recording of presses down and up at 10 mm/s"

@@ -1,4 +1,6 @@
-"""``tacshade-edge tradeoff``: what outputs cost and how wrong they are on this machine, and the settings for a need."""
+"""``tacshade-edge tradeoff``: what outputs cost and how wrong they are on this machine,
+and the settings for a need.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = f"one or more of {', '.join(OUTPUTS)}, together (default: each alone, and all)"
     add_option(wish, "--outputs", "NAME,...", text, _outputs)
     parser.add_argument("--plot", action="store_true", help="with --out: also write tradeoff.png")
-    text = "time only the learned profiles and print a report to send in; it omits this board's host name"
+    text = (
+        "time only the learned profiles and print a report to send in; "
+        "it omits this board's host name"
+    )
     parser.add_argument("--report", action="store_true", help=text)
     study.add_simulated(parser, SENSORS, "the paper's five")
 
@@ -107,7 +112,8 @@ def run(args: argparse.Namespace) -> int:
     rows, busy = measure(some, asked, calibration, judged, Progress())
     if busy > BUSY:
         warn(
-            f"the machine was busy: frames took {busy:.1f} times as long as the processor time shown here"
+            f"the machine was busy: frames took {busy:.1f} times as long as the processor time "
+            "shown here"
         )
     csv = {"": report.csv_text(rows)}
     study.publish(args, "tradeoff", report.table(rows), csv, report.document(rows, busy))
@@ -127,7 +133,9 @@ def run(args: argparse.Namespace) -> int:
 def _simulated(
     args: argparse.Namespace, profiles: tuple[str, ...]
 ) -> tuple[tuple[Setting, ...], Calibration, list[Judged]]:
-    """Judge on simulated sensors: a twin of the user's, or the named ones; the calibration is the first sensor's."""
+    """Judge on simulated sensors: a twin of the user's, or the named ones;
+    the calibration is the first sensor's.
+    """
     progress = Progress()
     if args.calibration is not None and args.sensors is not None:
         args.parser.error("--sensors cannot be used with --calibration")
@@ -151,7 +159,9 @@ def _simulated(
 
 
 def _report(args: argparse.Namespace) -> int:
-    """Measure the learned profiles in the same way on every board, and print the table and the board's facts."""
+    """Measure the learned profiles in the same way on every board,
+    and print the table and the board's facts.
+    """
     for name in (
         "profile",
         "calibration",
@@ -196,7 +206,8 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     found = identify.identify(small)
     if not found:
         raise ConfigError(
-            f"{args.calibration}: found no pins in its reference; add --images DIR, with ground truth"
+            f"{args.calibration}: found no pins in its reference; add --images DIR, "
+            "with ground truth"
         )
     model, layout = found[0].at(found[0].values)
     if isinstance(layout, lattice.Tips):

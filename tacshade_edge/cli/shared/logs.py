@@ -1,4 +1,6 @@
-"""The log of long-running commands: one line per message, repeated ones limited; text from outside is escaped."""
+"""The log of long-running commands: one line per message, repeated ones limited;
+text from outside is escaped.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ PERIOD_S: Final = 10.0
 
 _TEXTS_MAX: Final = 16
 _KINDS_MAX: Final = 128
-"""Texts that are distinguished, of one format and in all; any further text of a format counts as one until a quiet
-text is forgotten."""
+"""Texts that are distinguished, of one format and in all; any further text of a format counts as
+one until a quiet text is forgotten.
+"""
 _TEXT_CHARS_MAX: Final = 200
 _NUMBER: Final = re.compile(r"(?<![\w/.:-])\d+(?:\.\d+)?(?![\w/:-]|\.\d)")
 
@@ -55,10 +58,11 @@ def add_verbosity(parser: argparse.ArgumentParser) -> None:
 
 
 def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) -> None:
-    """Log to stderr, with time stamps unless the journal adds them; with `sensor_id`, if given, in each line.
+    """Log to stderr, with time stamps unless the journal adds them;
+    with `sensor_id`, if given, in each line.
 
-    The journal gets a message's priority, place and SENSOR_ID as fields if python3-systemd is installed, else its
-    priority alone.
+    The journal gets a message's priority, place and SENSOR_ID as fields if python3-systemd is
+    installed, else its priority alone.
     """
     handler: logging.Handler
     of = sensor_id if each_line else ""
@@ -130,7 +134,9 @@ class Limit:
     def take_left_out(
         self, now_s: float, *, all_of_them: bool = False
     ) -> list[tuple[str, str, int]]:
-        """Return and reset the counts of left-out messages: of all texts, or of those that would now pass again."""
+        """Return and reset the counts of left-out messages:
+        of all texts, or of those that would now pass again.
+        """
         counts = []
         for (name, _, said), kind in self._kinds.items():
             if kind.left_out and (all_of_them or kind.free_at(now_s) >= 1):
@@ -142,7 +148,8 @@ class Limit:
 class OneLineHandler(logging.StreamHandler[TextIO]):
     """Writes ``LEVEL name: message`` to stderr; `of` is a word before the message.
 
-    Before it comes the time if `stamped`, or if `prioritised` a priority as the journal reads it (sd-daemon(3)).
+    Before it comes the time if `stamped`, or if `prioritised` a priority as the journal reads it
+    (sd-daemon(3)).
     """
 
     def __init__(self, *, stamped: bool = False, prioritised: bool = False, of: str = "") -> None:
@@ -178,7 +185,8 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
 
 
 class FieldsHandler(OneLineHandler):
-    """Sends the same messages to the journal, each as one entry with fields (systemd.journal-fields(7)).
+    """Sends the same messages to the journal, each as one entry with fields
+    (systemd.journal-fields(7)).
 
     A journal that does not read gets them as lines, by stderr.
     """

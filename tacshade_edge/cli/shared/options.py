@@ -1,4 +1,6 @@
-"""What the commands share: options, the values that argparse reads, lines on stderr, missing packages."""
+"""What the commands share: options, the values that argparse reads, lines on stderr,
+missing packages.
+"""
 
 from __future__ import annotations
 
@@ -23,15 +25,21 @@ def warn(line: object) -> None:
     print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
 
 
-NEXT_FIT = "next (--fit needs the `fit` extra and takes minutes; without it, the networks stay as shipped):"
+NEXT_FIT = (
+    "next (--fit needs the `fit` extra and takes minutes; without it, "
+    "the networks stay as shipped):"
+)
 
 
 def need(what: str, extra: str, *packages: str) -> None:
-    """Raise a ConfigError that names the extra if one of these packages is missing; imports none of them."""
+    """Raise a ConfigError that names the extra if one of these packages is missing;
+    imports none of them.
+    """
     for package in packages:
         if importlib.util.find_spec(package) is None:
             raise ConfigError(
-                f"{what}: the package {package} is not installed; to install it: {how_to_install(extra)}"
+                f"{what}: the package {package} is not installed; to install it: "
+                f"{how_to_install(extra)}"
             )
 
 
@@ -43,7 +51,9 @@ def path(text: str) -> Path:
 def add_option(
     to: Any, name: str, metavar: str, text: str, kind: Callable[[str], Any] = path, **more: Any
 ) -> None:
-    """Declare an option of a parser or a group of options; its value is a path unless `kind` reads another."""
+    """Declare an option of a parser or a group of options;
+    its value is a path unless `kind` reads another.
+    """
     to.add_argument(name, type=kind, metavar=metavar, help=text, **more)
 
 
@@ -93,7 +103,9 @@ def _fixed(text: str) -> str:
 def number(
     expected: str, low: float, high: float, kind: type[int] | type[float] = float
 ) -> Callable[[str], Any]:
-    """Return an argparse type that reads a number from `low` to `high`, which `expected` describes."""
+    """Return an argparse type that reads a number from `low` to `high`,
+    which `expected` describes.
+    """
 
     def read(text: str) -> float:
         try:
@@ -114,7 +126,9 @@ PORT = number("a port from 0 to 65535", 0, 65535, int)
 
 
 def address(default_port: int | None = None) -> Callable[[str], tuple[str, int]]:
-    """Return an argparse type that reads HOST:PORT; with a default port, it also accepts HOST alone and port 0."""
+    """Return an argparse type that reads HOST:PORT;
+    with a default port, it also accepts HOST alone and port 0.
+    """
 
     def read(text: str) -> tuple[str, int]:
         with suppress(ValueError):

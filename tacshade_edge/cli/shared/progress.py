@@ -1,4 +1,6 @@
-"""The progress of a long command on stderr: a line that updates itself on a terminal, a line every 10 s elsewhere."""
+"""The progress of a long command on stderr: a line that updates itself on a terminal,
+a line every 10 s elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ _ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is est
 
 
 class Progress:
-    """Shows how many items are done, of how many, and the remaining time at the mean speed so far (on stderr)."""
+    """Shows how many items are done, of how many, and the remaining time at the mean speed so far
+    (on stderr).
+    """
 
     def __init__(
         self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
@@ -27,7 +31,9 @@ class Progress:
         self._is_open = False  # the terminal's line has not ended yet
 
     def __call__(self, what: str, done: int, total: int | None) -> None:
-        """Report progress if it is time to; a different name of the counted items starts a new count."""
+        """Report progress if it is time to; a different name
+        of the counted items starts a new count.
+        """
         now_s = self._clock()
         if what != self._what:
             self.end()

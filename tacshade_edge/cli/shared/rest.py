@@ -47,8 +47,10 @@ def _rate(text: str) -> float:
 def rest_of(
     args: argparse.Namespace, calibration: Calibration, references: Sequence[U8]
 ) -> LearntRest:
-    """Measure the limits on the images that ``--rest`` names, and on the references, if there are enough. Raises
-    ConfigError.
+    """Measure the limits on the images that ``--rest`` names, and on the references,
+    if there are enough.
+
+    Raises ConfigError.
     """
     named = [(f"reference {k}", image) for k, image in enumerate(references, start=1)]
     counting = named if len(named) >= REFERENCES_LEAST else []
@@ -96,7 +98,10 @@ def rest_lines(
     limits = learnt.limits[DEFAULT]
     one_in = round(1 / limits.false_contacts)
     lines = [
-        f"rest: {limits.frames} frames; at most one untouched frame in {one_in:,} is taken for a touch",
+        (
+            f"rest: {limits.frames} frames; at most one untouched frame in {one_in:,} is taken for "
+            "a touch"
+        ),
         f"  {DEFAULT} reports a touch from {limits.height_mm:.2f} mm of its own heights on,"
         " which may be less than the true ones on a skin that it does not know",
     ]

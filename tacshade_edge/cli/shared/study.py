@@ -1,4 +1,6 @@
-"""Parts that the study commands share: options, names of sensors and objects, the user's own images, output files."""
+"""Parts that the study commands share: options, names of sensors and objects,
+the user's own images, output files.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def objects(text: str) -> tuple[str, ...]:
 
 
 def add_arguments(parser: argparse.ArgumentParser, profiles: str, files: str) -> None:
-    """Declare the options of every study; their help quotes `profiles`, the default, and `files`, those written."""
+    """Declare the options of every study; their help quotes `profiles`, the default, and `files`,
+    those written.
+    """
     text = f"{', '.join(PROFILES)} ({profiles})"
     parser.add_argument("--profile", nargs="+", choices=list(PROFILES), metavar="NAME", help=text)
     add_option(parser, "--out", "DIR", f"folder for {files}")
@@ -65,7 +69,9 @@ def add_simulated(
 
 
 def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
-    """Whether to use the user's own images; a usage error if their options are incomplete or with `simulated` ones."""
+    """Whether to use the user's own images; a usage error if their options are incomplete or
+    with `simulated` ones.
+    """
     if (args.calibration is None) != (args.images is None):
         args.parser.error("--calibration CAL.npz and --images DIR must be given together")
     if args.images is None:
@@ -76,10 +82,14 @@ def is_own(args: argparse.Namespace, simulated: tuple[str, ...]) -> bool:
 
 
 def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], list[str]]:
-    """The user's calibration, the images, and a list of bad ones that grows. Raises ConfigError and DeviceError."""
+    """The user's calibration, the images, and a list of bad ones that grows.
+
+    Raises ConfigError and DeviceError.
+    """
     if not args.images.is_dir():
         raise ConfigError(
-            f"{args.images}: found no folder, expected one with images and their ground truth (.npz)"
+            f"{args.images}: found no folder, "
+            "expected one with images and their ground truth (.npz)"
         )
     calibration, paths = calibrations.load(args.calibration), images_in([args.images])
     if calibration.geometry.skin == "pad":
@@ -102,7 +112,9 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
 
 
 def will_draw(args: argparse.Namespace, files: str) -> bool:
-    """Whether plots are wanted and can be drawn; imports nothing, and prints a line if matplotlib is missing."""
+    """Whether plots are wanted and can be drawn; imports nothing,
+    and prints a line if matplotlib is missing.
+    """
     missing = importlib.util.find_spec("matplotlib") is None
     if args.out and missing:
         warn(f"{files} will be missing without matplotlib: {how_to_install('studies')}")
@@ -112,7 +124,9 @@ def will_draw(args: argparse.Namespace, files: str) -> bool:
 def publish(
     args: argparse.Namespace, stem: str, table: str, rows: Mapping[str, str], document: Any = None
 ) -> None:
-    """Print the table or, with --json, the document; with --out, write both, and `rows` (end of name: CSV text)."""
+    """Print the table or, with --json, the document;
+    with --out, write both, and `rows` (end of name: CSV text).
+    """
     files = {".md": f"{table}\n"} | {f"{end}.csv": text for end, text in rows.items()}
     if document is not None:
         files[".json"] = json.dumps(document, indent=1) + "\n"

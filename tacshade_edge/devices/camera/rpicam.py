@@ -1,9 +1,11 @@
-"""Frames of a Raspberry Pi's own (CSI, ribbon cable) camera: the program ``rpicam-vid`` writes them into a pipe.
+"""Frames of a Raspberry Pi's own (CSI, ribbon cable) camera:
+the program ``rpicam-vid`` writes them into a pipe.
 
-It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a metadata record into
-a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp, exposure and gain. The next record reveals a
-stream that is out of step. The program does not report the line length, which equals the width if that is a multiple of
-64. White balance is fixed, since it precedes the grey image.
+It writes each frame as raw YUV 4:2:0, whose first plane is the grey image, and after each frame a
+metadata record into a second pipe (rpicam-apps, output/output.cpp): the sensor's time stamp,
+exposure and gain. The next record reveals a stream that is out of step. The program does not report
+the line length, which equals the width if that is a multiple of 64. White balance is fixed, since
+it precedes the grey image.
 """
 
 from __future__ import annotations
@@ -41,10 +43,11 @@ _SAID_BYTES = 4096
 class RpicamSource(Camera):
     """A camera on ``rpicam-vid``; frames are grey, the luma of YUV 4:2:0 in full range.
 
-    `camera`: number of the camera in ``rpicam-vid --list-cameras``. `width_px`, `height_px`: the width is a multiple of
-    64. `exposure_us`: locked exposure time. `gain`: locked gain of the sensor. `lens_position`: locked focus in
-    dioptres, if the lens moves; by default the camera's own resting place. `sensor_mode`: ``WIDTH:HEIGHT`` of the
-    sensor's mode; by default rpicam-vid chooses, for small images often a cropped one.
+    `camera`: number of the camera in ``rpicam-vid --list-cameras``. `width_px`, `height_px`: the
+    width is a multiple of 64. `exposure_us`: locked exposure time. `gain`: locked gain of the
+    sensor. `lens_position`: locked focus in dioptres, if the lens moves; by default the camera's
+    own resting place. `sensor_mode`: ``WIDTH:HEIGHT`` of the sensor's mode; by default rpicam-vid
+    chooses, for small images often a cropped one.
     """
 
     def __init__(
@@ -102,9 +105,12 @@ class RpicamSource(Camera):
         self._unseen: U8 = np.empty(height_px * width_px * 3 // 2, np.uint8)
 
     def open(self) -> None:
-        """Start the program and read until a frame has the requested exposure; the next `read` returns it. Raises
-        DeviceError (the program or camera is absent, the camera is in use, or it delivers no frame), ConfigError (the
-        camera rejects the exposure or the gain; or its lines are longer than the image is wide).
+        """Start the program and read until a frame has the requested exposure;
+        the next `read` returns it.
+
+        Raises DeviceError (the program or camera is absent, the camera is in use, or it delivers no
+        frame), ConfigError (the camera rejects the exposure or the gain; or its lines are longer
+        than the image is wide).
         """
         self.close()
         self._gaps = FrameGaps()
@@ -145,7 +151,8 @@ class RpicamSource(Camera):
             image, record = stream.next(_START_S)
             exposure_us, gain = _number(record, "ExposureTime"), _number(record, "AnalogueGain")
             was_in_step, in_step = in_step, stream.in_step()
-            # Twice: if nine shorter frames fill eight of ours, the ninth is reported too late to be noticed.
+            # Twice: if nine shorter frames fill eight of ours,
+            # the ninth is reported too late to be noticed.
             pairs = (
                 (exposure_us, self._exposure_us),
                 (gain, self._gain),
@@ -236,7 +243,10 @@ class _Stream:
         self._others = [self._records, self._errors]
 
     def next(self, limit_s: float, space: U8 | None = None) -> tuple[U8, dict[str, str]]:
-        """Return the next image, uint8 (H, W), in `space` if given, and its record. Raises DeviceError."""
+        """Return the next image, uint8 (H, W), in `space` if given, and its record.
+
+        Raises DeviceError.
+        """
         content = np.empty(self._bytes, np.uint8) if space is None else space
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._unread:
@@ -267,7 +277,9 @@ class _Stream:
         return image, {key: value for key, _, value in pairs}
 
     def in_step(self) -> bool:
-        """Whether no bytes remain of the frame and its record; also False if the next have already arrived."""
+        """Whether no bytes remain of the frame and its record;
+        also False if the next have already arrived.
+        """
         return (
             b"\n\n" not in self._unread
             and not _is_readable(self._frames)
@@ -275,7 +287,9 @@ class _Stream:
         )
 
     def close(self) -> None:
-        """End the program: with its pipes closed it cannot block, and on SIGINT it stops the camera."""
+        """End the program: with its pipes closed it cannot block,
+        and on SIGINT it stops the camera.
+        """
         process = self._process
         assert process.stdout
         assert process.stderr

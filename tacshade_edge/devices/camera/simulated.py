@@ -1,4 +1,6 @@
-"""The simulated sensor as a frame source: a scripted hand that presses objects, at a steady pace."""
+"""The simulated sensor as a frame source: a scripted hand that presses objects,
+at a steady pace.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,10 @@ class Script(Protocol):
 class SimulatedSource:
     """A `FrameSource` that never ends.
 
-    Frame `seq` is due at a whole number of periods after `open`, and `t_ns` is that time, as with a camera. A frame
-    that fell due before the reader requested it is dropped and counted. Each frame is drawn when it is read, which
-    takes 10 to 40 ms, or 60 to 170 ms at each of the few places of a dragged object.
+    Frame `seq` is due at a whole number of periods after `open`, and `t_ns` is that time, as with a
+    camera. A frame that fell due before the reader requested it is dropped and counted. Each frame
+    is drawn when it is read, which takes 10 to 40 ms, or 60 to 170 ms at each of the few places of
+    a dragged object.
 
     `script`: the presses of each frame; by default every object in turn.
     """
@@ -51,7 +54,10 @@ class SimulatedSource:
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
-        """Wait until the next frame is due, and return it. Raises DecodeError when its presses cannot be drawn."""
+        """Wait until the next frame is due, and return it.
+
+        Raises DecodeError when its presses cannot be drawn.
+        """
         seq = self._next()
         image = self._draw(seq)
         t_ns = self._wait(seq)

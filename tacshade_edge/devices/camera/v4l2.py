@@ -1,12 +1,12 @@
 """Camera frames through OpenCV's V4L2 backend.
 
-OpenCV reports a device as open although it delivers no frames, silently accepts another format than the requested one,
-and provides no sequence numbers. So this module checks a node before opening it, reads every setting back, and takes
-only a frame that was read as proof of a camera. OpenCV hides the kernel's error flag of a buffer; only its length or
-the JPEG decoder reveals a damaged frame.
+OpenCV reports a device as open although it delivers no frames, silently accepts another format than
+the requested one, and provides no sequence numbers. So this module checks a node before opening it,
+reads every setting back, and takes only a frame that was read as proof of a camera. OpenCV hides
+the kernel's error flag of a buffer; only its length or the JPEG decoder reveals a damaged frame.
 
-A driver may stamp a frame up to a period ahead of the clock (USB cameras by a little). Such a stamp still identifies
-the clock and reveals gaps, but a frame is never dated after its arrival.
+A driver may stamp a frame up to a period ahead of the clock (USB cameras by a little). Such a stamp
+still identifies the clock and reveals gaps, but a frame is never dated after its arrival.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ _UNDECODABLE_MAX = 30  # in a row: about a second at 30 fps
 
 
 class V4l2Source(Camera):
-    """A V4L2 camera; frames are grey, the luma that the camera sent, never rescaled from the video range.
+    """A V4L2 camera; frames are grey, the luma that the camera sent,
+    never rescaled from the video range.
 
-    Exposure and white balance are locked if the driver has the controls. `fps`: requested rate; the driver may choose
-    another. `fourcc`: one of `FOURCCS`. `exposure`: in the driver's unit (100 µs for USB cameras); None keeps its
-    value. Raises ConfigError (the arguments suit no camera).
+    Exposure and white balance are locked if the driver has the controls. `fps`: requested rate; the
+    driver may choose another. `fourcc`: one of `FOURCCS`. `exposure`: in the driver's unit (100 µs
+    for USB cameras); None keeps its value. Raises ConfigError (the arguments suit no camera).
     """
 
     def __init__(
@@ -66,11 +67,12 @@ class V4l2Source(Camera):
         self._capture: cv2.VideoCapture | None = None
 
     def open(self) -> None:
-        """Check the node, negotiate, lock the controls, and read one frame for the next `read` to return.
+        """Check the node, negotiate, lock the controls,
+        and read one frame for the next `read` to return.
 
-        Raises DeviceError (the device is absent, does not capture, is busy, or delivers no frame), ConfigError (the
-        path is no video device, or the device chose another format, size or exposure; DeviceError if this configuration
-        has worked before).
+        Raises DeviceError (the device is absent, does not capture, is busy, or delivers no frame),
+        ConfigError (the path is no video device, or the device chose another format, size or
+        exposure; DeviceError if this configuration has worked before).
         """
         self.close()
         try:
@@ -142,8 +144,8 @@ class V4l2Source(Camera):
             offered = set(v4l2_node.formats(self._device))
             usable = ", ".join(code for code in FOURCCS if code in offered) or "none of our formats"
             raise self._refused(
-                f"requested {width_px}x{height_px} {self._fourcc}, but got {width_got}x{height_got} {fourcc}"
-                f" (it offers {usable})"
+                f"requested {width_px}x{height_px} {self._fourcc}, but got "
+                f"{width_got}x{height_got} {fourcc} (it offers {usable})"
             )
         exposure = v4l2_node.lock_exposure(capture, self._exposure)
         if self._exposure is not None and exposure.value != self._exposure:
@@ -219,13 +221,17 @@ class V4l2Source(Camera):
             size = raw.size if ok else 0
             self._dropped += 1
         asked = f"{self._shape[1]}x{self._shape[0]} {self._fourcc}"
-        found = f"found {_UNDECODABLE_MAX} frames in a row that were not {asked} (the last had {size} bytes)"
+        found = (
+            f"found {_UNDECODABLE_MAX} frames in a row that were not {asked} (the last had {size} "
+            "bytes)"
+        )
         raise DeviceError(f"{self._name}: {found}", code=ReasonCode.DECODE)
 
 
 def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
-    """Decode one buffer (N,) of a camera into a grey image (height_px, width_px); None if it is not one whole image of
-    that size. Damage between a JPEG's markers can go unnoticed, as the decoder paints over it.
+    """Decode one buffer (N,) of a camera into a grey image (height_px, width_px); None if it is not
+    one whole image of that size. Damage between a JPEG's markers can go unnoticed, as the decoder
+    paints over it.
     """
     if fourcc == "MJPG":
         return _decode_jpeg(raw, height_px, width_px)

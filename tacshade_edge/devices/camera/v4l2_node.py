@@ -35,8 +35,9 @@ _EXPECTED = "expected a video device such as /dev/video0 or one under /dev/v4l/b
 
 
 def check_kind(device: str) -> None:
-    """Reject an existing path that can never be a camera; an absent device may still appear. Raises ConfigError (a
-    file, a directory, or a device of another class).
+    """Reject an existing path that can never be a camera; an absent device may still appear.
+
+    Raises ConfigError (a file, a directory, or a device of another class).
     """
     try:
         status = os.stat(device)
@@ -58,8 +59,10 @@ def check_kind(device: str) -> None:
 
 
 def check_node(device: str) -> str:
-    """Return the name of the camera behind a device node. Raises ConfigError (as `check_kind`), DeviceError (the node
-    is absent, does not capture video, or may not be opened; the message says which, in one line).
+    """Return the name of the camera behind a device node.
+
+    Raises ConfigError (as `check_kind`), DeviceError (the node is absent, does not capture video,
+    or may not be opened; the message says which, in one line).
     """
     with _opened(device) as fd:
         capability = bytearray(104)
@@ -76,7 +79,10 @@ def check_node(device: str) -> str:
 
 
 def formats(device: str) -> list[str]:
-    """Return the four-character codes of the pixel formats that the device offers. Raises as `check_node` does."""
+    """Return the four-character codes of the pixel formats that the device offers.
+
+    Raises as `check_node` does.
+    """
     codes = []
     with _opened(device) as fd:
         for kind in _BUF_TYPES:
@@ -107,7 +113,10 @@ def frame_sizes(device: str, fourcc: str) -> list[tuple[int, int]]:
 
 
 def is_busy(device: str) -> bool:
-    """Whether another program holds the device's buffers. Call only after opening failed: it disturbs a stream."""
+    """Whether another program holds the device's buffers.
+
+    Call only after opening failed: it disturbs a stream.
+    """
     with _opened(device) as fd:
         for buf_type in _BUF_TYPES:
             try:
@@ -144,8 +153,8 @@ def _opened(device: str) -> Iterator[int]:
 
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
-# What OpenCV cannot set: linux/v4l2-controls.h (FOCUS_AUTO, AUTOGAIN, BACKLIGHT_COMPENSATION, EXPOSURE_AUTO_PRIORITY,
-# AUTOBRIGHTNESS, WIDE_DYNAMIC_RANGE, IMAGE_STABILIZATION).
+# What OpenCV cannot set: linux/v4l2-controls.h (FOCUS_AUTO, AUTOGAIN, BACKLIGHT_COMPENSATION,
+# EXPOSURE_AUTO_PRIORITY, AUTOBRIGHTNESS, WIDE_DYNAMIC_RANGE, IMAGE_STABILIZATION).
 AUTOMATICS = {
     **{"focus": 0x009A090C, "gain": 0x00980912, "backlight": 0x0098091C, "frame_rate": 0x009A0903},
     **{"brightness": 0x00980920, "dynamic_range": 0x009A0915, "stabilization": 0x009A0916},
@@ -164,7 +173,9 @@ class Properties(Protocol):
 
 
 class Lock(StrEnum):
-    """Whether a control keeps its value; ``exposure_lock``, ``white_balance_lock`` and others in ``status/camera``."""
+    """Whether a control keeps its value; ``exposure_lock``,
+    ``white_balance_lock`` and others in ``status/camera``.
+    """
 
     LOCKED = "locked"
     AUTOMATIC = "automatic"
@@ -173,8 +184,9 @@ class Lock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A control as read back from the driver. `value`: the driver's value, in its unit; None if it has no such control
-    or does not report it.
+    """A control as read back from the driver.
+
+    `value`: the driver's value, in its unit; None if it has no such control or does not report it.
     """
 
     lock: Lock
@@ -191,7 +203,9 @@ class Control:
 
 
 def lock_exposure(capture: Properties, exposure: int | None) -> Control:
-    """Switch automatic exposure off, then set `exposure` (the driver's unit; None keeps its value)."""
+    """Switch automatic exposure off, then set `exposure` (the driver's unit;
+    None keeps its value).
+    """
     automatic = _set_if_offered(capture, cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
     if exposure is not None:
         capture.set(cv2.CAP_PROP_EXPOSURE, exposure)

@@ -1,4 +1,6 @@
-"""A client of a running daemon through the broker: requests with their replies, and the daemon's retained values."""
+"""A client of a running daemon through the broker:
+requests with their replies, and the daemon's retained values.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,10 @@ _ERROR_CHARS_MAX: Final = 500
 
 
 class MqttCaller(Follower):
-    """One client of one daemon. `verb`: verb of the requests. `watched`: retained topics to follow, such as ``state``.
-    Raises ConfigError (a host name or authority file that can never work).
+    """One client of one daemon.
+
+    `verb`: verb of the requests. `watched`: retained topics to follow, such as ``state``. Raises
+    ConfigError (a host name or authority file that can never work).
     """
 
     def __init__(
@@ -57,8 +61,9 @@ class MqttCaller(Follower):
             raise DeviceError(f"{self._where}: {reason}; expected a broker", code=reason.code)
 
     def ask(self, body: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
-        """Send a request and return its result. Raises DeviceError (the daemon or the broker rejected it, or the daemon
-        did not answer).
+        """Send a request and return its result.
+
+        Raises DeviceError (the daemon or the broker rejected it, or the daemon did not answer).
         """
         self._asked, self._denied, self._reply = secrets.token_hex(8), None, None
         payload = json.dumps({**body, "transaction": self._asked}).encode()
@@ -97,7 +102,7 @@ class MqttCaller(Follower):
                 self._changed.wait(min(left_s, 0.1))
             return condition()
 
-    # -- called by paho, in its thread ----------------------------------------------------------------------------
+    # -- called by paho, in its thread -------------------------------------------------------------
 
     def _report(self, reason: Reason | None, fix: str = "") -> None:
         """Keep a failure for `start` to raise, in place of logging it."""

@@ -27,8 +27,9 @@ _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
 _CONNECT_TIMEOUT_S: Final = 3.0
 _INCOMING_BYTES_MAX: Final = 65536
-# Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only a few are allowed.
-# We give up a peer that accepts nothing for 4 s, before TCP retries less often than we reconnect.
+# Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only
+# a few are allowed. We give up a peer that accepts nothing for 4 s, before TCP retries less often
+# than we reconnect.
 _SOCKET_OPTIONS: Final = (
     ("TCP_NODELAY", 1),
     ("TCP_NOTSENT_LOWAT", 1 << 17),
@@ -37,7 +38,9 @@ _SOCKET_OPTIONS: Final = (
 
 
 class BrokerAddress(TypedDict):
-    """The address of a broker and the credentials for it: arguments of everything that connects to one."""
+    """The address of a broker and the credentials for it:
+    arguments of everything that connects to one.
+    """
 
     host: str
     port: int
@@ -47,15 +50,17 @@ class BrokerAddress(TypedDict):
 
 
 class Session(Client):
-    """paho's client, which reconnects by itself and which no broker's message can end. `refused`: number of messages
-    that `receive` dropped.
+    """paho's client, which reconnects by itself and which no broker's message can end.
+
+    `refused`: number of messages that `receive` dropped.
     """
 
     refused = 0
     _unknown_code: int | None = None
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
-        """Hand every message to `on_message` with its topic, where U+FFFD replaces what is not UTF-8.
+        """Hand every message to `on_message` with its topic,
+        where U+FFFD replaces what is not UTF-8.
 
         If that raises DecodeError, the message is dropped and counted; the first one is logged.
         """
@@ -75,7 +80,9 @@ class Session(Client):
         self.on_message = enter
 
     def answered(self, on_answer: Callable[[int, ReasonCode], None]) -> None:
-        """Hand the id and reason code of every message that was sent (QoS 0) or answered (QoS 1) to `on_answer`."""
+        """Hand the id and reason code of every message that was sent (QoS 0) or answered
+        (QoS 1) to `on_answer`.
+        """
 
         def enter(
             _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any
@@ -89,7 +96,9 @@ class Session(Client):
         self.on_publish = enter
 
     def _packet_handle(self) -> MQTTErrorCode:
-        """Replace a reason code that paho does not expect in a PUBACK: it would end the connection."""
+        """Replace a reason code that paho does not expect in a PUBACK:
+        it would end the connection.
+        """
         body: bytearray = self._in_packet["packet"]
         if self._in_packet["command"] & 0xF0 == PUBACK and len(body) > 2:
             try:
@@ -102,7 +111,10 @@ class Session(Client):
             self._unknown_code = None
 
     def step(self, timeout_s: float) -> bool:
-        """Send and receive once; False without a connection. `Client.loop` would leave its socket pair open."""
+        """Send and receive once; False without a connection.
+
+        `Client.loop` would leave its socket pair open.
+        """
         if (sock := self.socket()) is None:
             return False
         select.select([sock], [sock] if self.want_write() else [], [], timeout_s)
@@ -118,7 +130,9 @@ class Session(Client):
 
 
 def connect_failure() -> tuple[BaseException | None, str]:
-    """Return the error of a failed connection and its text, in `on_connect_fail`: paho does not pass it on."""
+    """Return the error of a failed connection and its text, in `on_connect_fail`:
+    paho does not pass it on.
+    """
     error = sys.exception()
     return error, str(getattr(error, "strerror", None) or error or "no connection")
 
@@ -126,8 +140,8 @@ def connect_failure() -> tuple[BaseException | None, str]:
 def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Session:
     """Return a client that retries every second once its loop runs.
 
-    It uses MQTT 5, since only a version 5 connection receives a request's response topic and correlation data;
-    subscribers of version 3.1.1 still receive what it publishes.
+    It uses MQTT 5, since only a version 5 connection receives a request's response topic and
+    correlation data; subscribers of version 3.1.1 still receive what it publishes.
 
     Raises ConfigError (a host name, topic or authority file that can never work).
     """
@@ -146,7 +160,8 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Se
             client.tls_set(ca_certs=tls_ca)
         except (OSError, ssl.SSLError) as error:
             raise ConfigError(
-                f"CA certificate file {tls_ca}: {error.strerror or error}; expected a PEM file with certificates"
+                f"CA certificate file {tls_ca}: {error.strerror or error}; expected a PEM file "
+                "with certificates"
             ) from error
     return client
 
@@ -156,7 +171,8 @@ def connect(
 ) -> None:
     """Start the client's network thread, which connects and reconnects by itself.
 
-    The broker never sends us a packet above `incoming_bytes_max`: requests are small, and memory is bounded.
+    The broker never sends us a packet above `incoming_bytes_max`:
+    requests are small, and memory is bounded.
     """
     client.connect_async(
         host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max)
@@ -185,7 +201,9 @@ def publish_properties(
     correlation: bytes | None = None,
     of_will: bool = False,
 ) -> Properties:
-    """Return the MQTT 5 properties of a message or a last will; subscribers of version 3.1.1 do not see them."""
+    """Return the MQTT 5 properties of a message or a last will;
+    subscribers of version 3.1.1 do not see them.
+    """
     properties = _properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)
     properties.ContentType = content_type
     if expiry_s is not None:
@@ -196,7 +214,9 @@ def publish_properties(
 
 
 class _Packed(Properties):
-    """Properties packed once: paho packs them again for every message, a third of its work per message."""
+    """Properties packed once: paho packs them again for every message,
+    a third of its work per message.
+    """
 
     def __init__(self, made: Properties) -> None:
         self.__dict__.update(made.__dict__, _packed=made.pack())  # type: ignore[no-untyped-call]
@@ -215,7 +235,9 @@ def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
 
 
 def packet_bytes_max(connack: Properties | None) -> int | None:
-    """Return the largest packet in bytes that the broker accepts, from its CONNACK; None if it sets no bound."""
+    """Return the largest packet in bytes that the broker accepts, from its CONNACK;
+    None if it sets no bound.
+    """
     return getattr(connack, "MaximumPacketSize", None)
 
 
@@ -244,5 +266,6 @@ def _check(host: str, base_topic: str) -> None:
         raise ConfigError(f"MQTT host: found {host!r}, expected a host name or an address")
     if not base_topic or base_topic.strip("/") != base_topic or set(base_topic) & set("+#\0"):
         raise ConfigError(
-            f"MQTT topic: found {base_topic!r}, expected levels such as tacshade/left-index, without + or #"
+            f"MQTT topic: found {base_topic!r}, expected levels such as tacshade/left-index, "
+            "without + or #"
         )

@@ -1,7 +1,9 @@
-"""Find out who holds a sensor's name at the broker before each connection, since connecting takes it from the holder.
+"""Find out who holds a sensor's name at the broker before each connection,
+since connecting takes it from the holder.
 
-A broker gives a client ID to the newest connection. Two daemons with one `sensor_id` would take it from each other
-forever, so a daemon that finds another one waits until that is gone, and reports it.
+A broker gives a client ID to the newest connection. Two daemons with one `sensor_id` would take it
+from each other forever, so a daemon that finds another one waits until that is gone, and reports
+it.
 """
 
 from __future__ import annotations
@@ -35,13 +37,16 @@ _ALIVE: Final = (b"online", b"degraded")
 
 
 def new_instance() -> dict[str, str | int]:
-    """Return what distinguishes this daemon from another of the same name: retained as ``instance``."""
+    """Return what distinguishes this daemon from another of the same name:
+    retained as ``instance``.
+    """
     return {"id": secrets.token_hex(8), "host": socket.gethostname(), "process": os.getpid()}
 
 
 class ClientIdGuard:
-    """A watch on a name over a connection with another one; only the link's paho thread uses it. `client`: without a
-    client ID, not connected. `instance`: this daemon's `new_instance`.
+    """A watch on a name over a connection with another one; only the link's paho thread uses it.
+
+    `client`: without a client ID, not connected. `instance`: this daemon's `new_instance`.
     """
 
     def __init__(
@@ -70,8 +75,8 @@ class ClientIdGuard:
 
         It also returns if the broker rejects the query: connecting will show why.
 
-        `report`: receives the reason, which names the holder, repeatedly. Raises OSError (no connection, or it was
-        lost; call again).
+        `report`: receives the reason, which names the holder, repeatedly. Raises OSError (no
+        connection, or it was lost; call again).
         """
         self._forget()
         self._client.will_set(self._rival, b"", qos=1, retain=True)

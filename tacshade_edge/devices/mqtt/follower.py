@@ -1,4 +1,6 @@
-"""A subscriber whose topics can change at any time, so that no sensor computes what nobody reads."""
+"""A subscriber whose topics can change at any time,
+so that no sensor computes what nobody reads.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,10 @@ _ACL_FIX: Final = "give this user access rules (ACL) that let it read tacshade/#
 
 
 class Follower:
-    """A client of the broker that reconnects by itself and logs each failure in one line. `on_message`:
-    ``on_message(topic, payload, retained)``, called in paho's thread; an exception leaves that thread. Raises
-    ConfigError (a host name or authority file that can never work).
+    """A client of the broker that reconnects by itself and logs each failure in one line.
+
+    `on_message`: ``on_message(topic, payload, retained)``, called in paho's thread; an exception
+    leaves that thread. Raises ConfigError (a host name or authority file that can never work).
     """
 
     def __init__(
@@ -75,8 +78,8 @@ class Follower:
         self._client.stop()
 
     def _subscribe(self, topics: Collection[str]) -> None:
-        # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its queue: of many
-        # retained messages, all except the first 40.
+        # With QoS 1 a broker queues messages until they are acknowledged and drops those beyond its
+        # queue: of many retained messages, all except the first 40.
         if topics:
             self._client.subscribe([(topic, 0) for topic in sorted(topics)])
 
@@ -90,7 +93,7 @@ class Follower:
         else:
             _log.warning("%s: %s", self._where, with_fix(reason, fix))
 
-    # -- called by paho, in its thread ----------------------------------------------------------------------------
+    # -- called by paho, in its thread -------------------------------------------------------------
 
     def _on_connect(
         self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any

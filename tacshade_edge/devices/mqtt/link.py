@@ -1,4 +1,6 @@
-"""The connection to the MQTT broker, which reconnects by itself; `Outgoing` handles what it sends."""
+"""The connection to the MQTT broker, which reconnects by itself;
+`Outgoing` handles what it sends.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,10 @@ from tacshade_edge.reasons import Reason, ReasonCode
 
 @dataclass(frozen=True, slots=True)
 class BadRequest:
-    """A rejected request. `topic`: topic for `answer`, below the base topic; None if it cannot be answered."""
+    """A rejected request.
+
+    `topic`: topic for `answer`, below the base topic; None if it cannot be answered.
+    """
 
     topic: str | None
     answer: bytes
@@ -70,7 +75,8 @@ def read_request(base_topic: str, topic: str, message: MQTTMessage) -> Request |
 
 
 def _may_name_a_topic(text: str) -> bool:
-    """Whether this may be published on: a broker ends the connection for a control character, paho raises for others.
+    """Whether this may be published on: a broker ends the connection for a control character,
+    paho raises for others.
 
     U+FFFD is what was not UTF-8, and longer.
     """
@@ -83,12 +89,12 @@ _log = logging.getLogger(__name__)
 class MqttLink(Outgoing):
     """A connection that publishes streams, retained values and replies, and receives requests.
 
-    `base_topic`: ``tacshade/<sensor-id>``, without a slash at either end. `client_id`: fixed per sensor: a new
-    connection must take over from a dead one, including its will. It does not take over from a live one: while another
-    daemon uses the sensor's name, this one waits. `tls_ca`: PEM file of the authority that signed the broker's
-    certificate; None disables TLS. `on_request` is called from paho's network thread, `on_outcome` also from the
-    callers' threads; they must only count or enqueue. Raises ConfigError (a host name, topic or authority file that can
-    never work).
+    `base_topic`: ``tacshade/<sensor-id>``, without a slash at either end. `client_id`: fixed per
+    sensor: a new connection must take over from a dead one, including its will. It does not take
+    over from a live one: while another daemon uses the sensor's name, this one waits. `tls_ca`: PEM
+    file of the authority that signed the broker's certificate; None disables TLS. `on_request` is
+    called from paho's network thread, `on_outcome` also from the callers' threads; they must only
+    count or enqueue. Raises ConfigError (a host name, topic or authority file that can never work).
     """
 
     def __init__(
@@ -135,12 +141,16 @@ class MqttLink(Outgoing):
         return self._reason
 
     def start(self) -> None:
-        """Start connecting, and keep trying until `stop`; an absent broker is no error. Call once."""
+        """Start connecting, and keep trying until `stop`; an absent broker is no error.
+
+        Call once.
+        """
         self._set_reason(self._with_address(ReasonCode.STARTING, "connecting"))
         connect(self._client, self._broker["host"], self._broker["port"])
 
     def stop(self, timeout_s: float) -> None:
-        """Publish what waits and ``state`` = ``stopped``, and disconnect; always return within `timeout_s`.
+        """Publish what waits and ``state`` = ``stopped``, and disconnect;
+        always return within `timeout_s`.
 
         A broker that does not accept that in time publishes the last will, ``offline``, instead.
         Every payload not sent by then has failed.
@@ -165,14 +175,15 @@ class MqttLink(Outgoing):
         done.wait(left_s(1.0))
 
     def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
-        """Subscribe to a topic below the base on every connection, retained value included; call before `start`.
+        """Subscribe to a topic below the base on every connection, retained value included;
+        call before `start`.
 
-        `on_payload` is called like `on_request`, but not for what this link itself publishes there. If it raises
-        DecodeError, that is a bad request.
+        `on_payload` is called like `on_request`, but not for what this link itself publishes there.
+        If it raises DecodeError, that is a bad request.
         """
         self._watched[topic] = on_payload
 
-    # -- executed in turn -----------------------------------------------------------------------------------------
+    # -- executed in turn --------------------------------------------------------------------------
 
     def _pump_last(self) -> None:
         """Send the last payload of each stream, however many paho holds."""
@@ -215,13 +226,16 @@ class MqttLink(Outgoing):
         for topic, code in zip(("req/+", *self._watched), codes, strict=False):
             self._note(topic, 0, code)
 
-    # -------------------------------------------------------------------------------------------------------------
+    # ----------------------------------------------------------------------------------------------
 
     def _with_address(self, code: ReasonCode, text: str) -> Reason:
         return Reason(code, f"{self._where}: {text}")
 
     def _set_reason(self, reason: Reason | None, fix: str = "") -> None:
-        """Store why we are not connected; log a change, not a repetition. A reason with a fix is a fault."""
+        """Store why we are not connected; log a change, not a repetition.
+
+        A reason with a fix is a fault.
+        """
         if reason == self._reason:
             return
         self._reason = reason
@@ -231,7 +245,9 @@ class MqttLink(Outgoing):
             _log.info("%s", reason or f"{self._where}: connected")
 
     def _end_thread(self, timeout_s: float) -> None:
-        """Wait for paho's thread; leave one that hangs in a connection attempt, since it is a daemon thread."""
+        """Wait for paho's thread; leave one that hangs in a connection attempt,
+        since it is a daemon thread.
+        """
         sock = self._client.socket()
         if sock is not None:
             with contextlib.suppress(OSError):  # it was already closed
@@ -239,7 +255,7 @@ class MqttLink(Outgoing):
         if self._thread is not None:
             self._thread.join(timeout_s)
 
-    # -- called by paho, in its thread ----------------------------------------------------------------------------
+    # -- called by paho, in its thread -------------------------------------------------------------
 
     def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
         self._thread = threading.current_thread()

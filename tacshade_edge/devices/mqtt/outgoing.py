@@ -1,10 +1,12 @@
-"""Publishing to the broker: it never blocks its caller, and its memory is bounded whatever the peer does.
+"""Publishing to the broker: it never blocks its caller,
+and its memory is bounded whatever the peer does.
 
-paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest, and at most two
-that paho holds and has not yet written.
+paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest,
+and at most two that paho holds and has not yet written.
 
-Threads: the callers' and paho's network thread. Whatever changes the state is a call in one queue, which one thread at
-a time executes, so they need no lock. No thread waits for another's turn: paho calls back while it holds its own locks.
+Threads: the callers' and paho's network thread. Whatever changes the state is a call in one queue,
+which one thread at a time executes, so they need no lock. No thread waits for another's turn: paho
+calls back while it holds its own locks.
 """
 
 from __future__ import annotations
@@ -37,8 +39,10 @@ _log = logging.getLogger(__name__)
 PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
 
 PROBE_PERIOD_NS: Final = 1_000_000_000
-"""Period in ns at which a message of a stream probes for subscribers, so a new one is noticed within it. Whole periods
-of the clock, so that the streams of a frame probe together: a frame that only probes is reconstructed for nobody."""
+"""Period in ns at which a message of a stream probes for subscribers, so a new one is noticed
+within it. Whole periods of the clock, so that the streams of a frame probe together: a frame that
+only probes is reconstructed for nobody.
+"""
 _UNSENT_PER_STREAM: Final = 2
 _ANSWERS_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
@@ -80,14 +84,19 @@ class _Slot:
         )
 
     def next_qos(self, now_ns: int) -> int:
-        """Return the QoS of the message being sent: 1 for a probe. Until its answer comes, the previous one holds."""
+        """Return the QoS of the message being sent: 1 for a probe.
+
+        Until its answer comes, the previous one holds.
+        """
         if self.retain or not self.probe_due(now_ns):
             return self.qos
         self.probed_ns = now_ns
         return 1
 
     def disconnected(self) -> list[_Item]:
-        """Take back what paho held: the newest waits again unless a newer one does; return the others, which failed."""
+        """Take back what paho held: the newest waits again unless a newer one does;
+        return the others, which failed.
+        """
         lost, self.handed = self.handed, []
         self.probed_ns, self.no_listener, self.refused = None, False, None
         if self.retain:
@@ -108,8 +117,10 @@ class _Sent(NamedTuple):
 
 
 class Outgoing:
-    """The payloads on their way to one broker. `where`: name of the broker in the log. `on_outcome`: receives (stream,
-    seq, outcome) once per offered payload, in the thread whose turn it is.
+    """The payloads on their way to one broker.
+
+    `where`: name of the broker in the log. `on_outcome`: receives (stream, seq, outcome) once per
+    offered payload, in the thread whose turn it is.
     """
 
     def __init__(
@@ -134,7 +145,8 @@ class Outgoing:
         self._slots: dict[str, _Slot] = {}
         self._by_mid: dict[int, _Sent] = {}
         self._denied: set[str] = set()
-        # The largest packet that the broker accepts and how that showed, and the largest that it has acknowledged.
+        # The largest packet that the broker accepts and how that showed,
+        # and the largest that it has acknowledged.
         self._bytes_max: int | None = None
         self._bytes_max_why = ""
         self._bytes_proven = 0
@@ -149,11 +161,16 @@ class Outgoing:
 
     @property
     def limited(self) -> Reason | None:
-        """Why the broker gets no large messages; None while no message of this connection has exceeded its limit."""
+        """Why the broker gets no large messages; None while no message
+        of this connection has exceeded its limit.
+        """
         return self._too_large
 
     def counters(self) -> dict[str, int]:
-        """Return the counts since the start, always of all names. `refused`: the broker denied it or its size."""
+        """Return the counts since the start, always of all names.
+
+        `refused`: the broker denied it or its size.
+        """
         return {
             **self._counters,
             "bad_requests": self._counters["bad_requests"] + self._client.refused,
@@ -162,7 +179,8 @@ class Outgoing:
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.
 
-        The topic is relative to the base topic; with a leading slash it starts at the broker's root.
+        The topic is relative to the base topic; with a leading slash it starts at the broker's
+        root.
         """
 
         def put() -> None:
@@ -173,24 +191,27 @@ class Outgoing:
         self._post(put)
 
     def has_listener(self, stream: str) -> bool:
-        """Whether a stream may have a subscriber: False while the broker's latest answer reported none.
+        """Whether a stream may have a subscriber: False
+        while the broker's latest answer reported none.
 
-        Even then it is True once a second, so that the next payload probes again. It is always True while the broker
-        is away, or if it never reports this (MQTT 5 leaves that to the broker).
+        Even then it is True once a second, so that the next payload probes again. It is always True
+        while the broker is away, or if it never reports this (MQTT 5 leaves that to the broker).
         """
         slot = self._slots.get(stream)
         return slot is None or not slot.no_listener or slot.probe_due(time.monotonic_ns())
 
     def offer(self, stream: str, payload: bytes, seq: int) -> None:
-        """Send a payload of a stream (not retained) once the peer accepts it, unless a newer one comes first.
+        """Send a payload of a stream (not retained) once the peer accepts it,
+        unless a newer one comes first.
 
-        QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone listens (`has_listener`).
+        QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone
+        listens (`has_listener`).
 
-        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one displaced it),
-        ``refused`` (the broker denied it or, with QoS 0, the last one it answered; or it is too large), or
-        ``failed`` (displaced or lost while the broker was away; before the first connection, ``superseded``). The
-        newest payload is kept while the broker is away and is sent first afterwards, so that subscribers do not keep
-        outdated data.
+        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one
+        displaced it), ``refused`` (the broker denied it or, with QoS 0, the last one it answered;
+        or it is too large), or ``failed`` (displaced or lost while the broker was away; before the
+        first connection, ``superseded``). The newest payload is kept while the broker is away and
+        is sent first afterwards, so that subscribers do not keep outdated data.
         """
 
         def put() -> None:
@@ -207,17 +228,25 @@ class Outgoing:
         self._post(put)
 
     def reply(self, request: Request, payload: bytes) -> None:
-        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic. Lost with the connection."""
+        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic.
+
+        Lost with the connection.
+        """
         self._send_once(
             "replies", request.response_topic or f"res/{request.verb}", payload, request.correlation
         )
 
     def publish_event(self, topic: str, payload: bytes) -> None:
-        """Publish an event once, under the base topic (QoS 1, not retained). Lost with the connection, and counted."""
+        """Publish an event once, under the base topic (QoS 1, not retained).
+
+        Lost with the connection, and counted.
+        """
         self._send_once("events", topic, payload, None)
 
     def _post(self, call: Callable[[], None]) -> None:
-        """Execute a call after those already posted; at once, unless another thread is executing them."""
+        """Execute a call after those already posted;
+        at once, unless another thread is executing them.
+        """
         self._calls.append(call)
         while self._calls and self._turn.acquire(blocking=False):
             try:
@@ -226,7 +255,7 @@ class Outgoing:
             finally:
                 self._turn.release()
 
-    # -- executed in turn -----------------------------------------------------------------------------------------
+    # -- executed in turn --------------------------------------------------------------------------
 
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
@@ -245,8 +274,8 @@ class Outgoing:
     def _pump(self, slot: _Slot) -> None:
         """Hand paho the items of a slot that it may send.
 
-        The state goes first, and the rest once the broker has answered it: otherwise frames that access rules deny
-        would count as published until the answer.
+        The state goes first, and the rest once the broker has answered it: otherwise frames that
+        access rules deny would count as published until the answer.
         """
         state = self._slots["state"]
         while (item := slot.waiting) is not None and len(slot.handed) < slot.most:
@@ -313,7 +342,8 @@ class Outgoing:
             else:
                 slot.no_listener, slot.refused = code.value == _NO_LISTENER, code.is_failure
         state = self._slots["state"]
-        # QoS 0 has no answer: rules that deny the state, or this stream's latest probe, deny this item too.
+        # QoS 0 has no answer: rules that deny the state, or this stream's latest probe,
+        # deny this item too.
         denied = (
             code.is_failure
             if slot.retain
@@ -355,7 +385,10 @@ class Outgoing:
         if self._bytes_max is None or size <= self._bytes_max:
             return False
         if self._too_large is None:
-            skipped = f"so this client skips {self._path(topic)} of {size} bytes, and other large messages"
+            skipped = (
+                f"so this client skips {self._path(topic)} of {size} bytes, "
+                "and other large messages"
+            )
             text = f"{self._where}: {self._bytes_max_why}, {skipped}"
             self._too_large = Reason(ReasonCode.MESSAGE_SIZE_LIMIT, text)
             _log.warning("%s", with_fix(self._too_large, MESSAGE_SIZE_FIX))

@@ -28,10 +28,12 @@ _CAUSES = {
 
 
 class SerialPort:
-    """One port, opened and closed as often as needed. All methods belong to one thread, except `wake`.
+    """One port, opened and closed as often as needed.
 
-    `device`: a path under /dev, preferably under /dev/serial/by-id; or a pyserial URL (``socket://HOST:PORT``). `baud`:
-    bits per second; USB devices without a UART ignore it.
+    All methods belong to one thread, except `wake`.
+
+    `device`: a path under /dev, preferably under /dev/serial/by-id; or a pyserial URL
+    (``socket://HOST:PORT``). `baud`: bits per second; USB devices without a UART ignore it.
     """
 
     def __init__(self, device: str, baud: int) -> None:
@@ -43,8 +45,10 @@ class SerialPort:
         self._closing = threading.Lock()  # the number of a closed descriptor may already be reused
 
     def open(self) -> None:
-        """Open the port for exclusive use. Raises DeviceError (absent, in use, no permission), ConfigError (it can
-        never work: not a device, an unknown kind of URL. A port that has worked raises DeviceError).
+        """Open the port for exclusive use.
+
+        Raises DeviceError (absent, in use, no permission), ConfigError (it can never work: not a
+        device, an unknown kind of URL. A port that has worked raises DeviceError).
         """
         self.close()
         try:
@@ -76,7 +80,10 @@ class SerialPort:
             self._low_latency = True
 
     def read(self) -> bytes:
-        """Return the received bytes; wait at most `READ_S` for the first. Raises DeviceError when the port is lost."""
+        """Return the received bytes; wait at most `READ_S` for the first.
+
+        Raises DeviceError when the port is lost.
+        """
         port = self._opened()
         try:
             first = bytes(port.read(1))
@@ -85,7 +92,9 @@ class SerialPort:
             raise self._failed(error) from error
 
     def write(self, data: bytes) -> bool:
-        """Write bytes; return False if the port did not take all within `WRITE_S`: nobody reads at the other end."""
+        """Write bytes; return False if the port did not take all within `WRITE_S`:
+        nobody reads at the other end.
+        """
         port = self._opened()
         try:
             port.write(data)
@@ -96,7 +105,10 @@ class SerialPort:
         return True
 
     def unsent(self) -> int:
-        """Return how many written bytes wait in the driver; 0 if it keeps no count. Raises DeviceError."""
+        """Return how many written bytes wait in the driver; 0 if it keeps no count.
+
+        Raises DeviceError.
+        """
         try:
             return int(getattr(self._opened(), "out_waiting", 0))
         except (OSError, termios.error) as error:
@@ -117,7 +129,9 @@ class SerialPort:
                 port.close()
 
     def describe(self) -> dict[str, str | int | float]:
-        """Return details for ``status/serial``; `latency_ms` is how long an FTDI chip may hold bytes back."""
+        """Return details for ``status/serial``; `latency_ms` is how long an FTDI chip may hold
+        bytes back.
+        """
         details: dict[str, str | int | float] = {"device": self.device, "baud": self.baud}
         if self._port is not None and self._low_latency:
             details["low_latency"] = "yes"
@@ -143,7 +157,9 @@ class SerialPort:
 
 
 def check_kind(device: str) -> None:
-    """Raise ConfigError if waiting cannot help: an existing path that is no device, or an unknown kind of URL."""
+    """Raise ConfigError if waiting cannot help: an existing path that is no device,
+    or an unknown kind of URL.
+    """
     if "://" in device:
         try:
             serial.serial_for_url(device, do_not_open=True)

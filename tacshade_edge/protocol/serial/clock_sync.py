@@ -1,14 +1,17 @@
-"""Synchronise the robot's clock with the daemon's: daemon = robot + offset, where the offset is a line over time.
+"""Synchronise the robot's clock with the daemon's:
+daemon = robot + offset, where the offset is a line over time.
 
-With ``SYNC`` (two-way), every exchange has four times, t1 and t4 of the robot and t2 and t3 of the daemon. Its offset
-((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the cable does (NTP's on-wire protocol,
-RFC 5905 section 8). As NTP's clock filter prefers the samples of least delay (RFC 5905 section 10), the line is fitted
-to the quarter of the latest exchanges with the shortest round trips; an exchange beyond that bound shows a clock jump.
+With ``SYNC`` (two-way), every exchange has four times, t1 and t4 of the robot and t2 and t3 of the
+daemon. Its offset ((t2 - t1) + (t3 - t4)) / 2 is wrong by at most half its round trip, whatever the
+cable does (NTP's on-wire protocol, RFC 5905 section 8). As NTP's clock filter prefers the samples
+of least delay (RFC 5905 section 10), the line is fitted to the quarter of the latest exchanges with
+the shortest round trips; an exchange beyond that bound shows a clock jump.
 
-Without ``SYNC`` (one-way), only times of arrival are known: the offset is a line under all delays, from their lower
-convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM
-1999; Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002). One side alone
-cannot measure the least delay itself; it is assumed to be at most `ONE_WAY_LATENCY_NS`.
+Without ``SYNC`` (one-way), only times of arrival are known: the offset is a line under all delays,
+from their lower convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from
+network delay measurements", INFOCOM 1999; Zhang, Liu and Xia, "Clock synchronization algorithms for
+network measurements", INFOCOM 2002). One side alone cannot measure the least delay itself; it is
+assumed to be at most `ONE_WAY_LATENCY_NS`.
 """
 
 from __future__ import annotations
@@ -82,7 +85,9 @@ class _Exchange:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """Offset of the daemon's clock at a robot's time; base and rest are separate because a float has 53 bits."""
+    """Offset of the daemon's clock at a robot's time;
+    base and rest are separate because a float has 53 bits.
+    """
 
     at_ns: int
     base_ns: int
@@ -133,7 +138,10 @@ class ClockSync:
         self.counts.restarts += 1
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
-        """Take a ``SYNC t1 [t4]`` that arrived at `t2_ns`; t4 completes the previous exchange. Then `sync_answered`."""
+        """Take a ``SYNC t1 [t4]`` that arrived at `t2_ns`; t4 completes the previous exchange.
+
+        Then `sync_answered`.
+        """
         before, self._open = self._open, (t1_ns, t2_ns, t2_ns)
         if t4_ns is not None and before is not None:
             first_ns, received_ns, sent_ns = before
@@ -151,7 +159,9 @@ class ClockSync:
             self._open = (*self._open[:2], t3_ns)
 
     def stamp_received(self, robot_ns: int, arrived_ns: int) -> None:
-        """Take the arrival of a message stamped `robot_ns`: one more delay, which may show that the clock jumped."""
+        """Take the arrival of a message stamped `robot_ns`:
+        one more delay, which may show that the clock jumped.
+        """
         if (line := self._two_way) is not None:
             local = line.local(robot_ns)
             if local.t_ns - local.error_ns - TOLERANCE_NS > arrived_ns:
@@ -176,7 +186,9 @@ class ClockSync:
                 self._one_way = _lower_line([*self._buckets, (robot_ns, delay_ns)])
 
     def to_robot(self, local_ns: int) -> ConvertedTime | None:
-        """The time of the robot's clock at a time of the daemon's; None while the clock is unknown."""
+        """The time of the robot's clock at a time of the daemon's;
+        None while the clock is unknown.
+        """
         line = self._line()
         return line.robot(local_ns) if line else None
 
@@ -271,7 +283,9 @@ class ClockSync:
 
 
 def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
-    """Fit a line through the best exchanges by least squares; longer round trips get less weight."""
+    """Fit a line through the best exchanges by least squares;
+    longer round trips get less weight.
+    """
     count = max(math.ceil(len(exchanges) * BEST_FRACTION), min(len(exchanges), BEST_MIN))
     best = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
     at_ns, base_ns = best[0].robot_ns, best[0].offset_ns
@@ -280,7 +294,8 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
     weights = ((round_trip - round_trip[0]) / 2 + round_trip[0] / 8 + TOLERANCE_NS) ** -2
     total = weights.sum()
     mean_x, mean_y, bound_ns = (float(weights @ v / total) for v in (x, y, round_trip / 2))
-    # The prior on the drift keeps two exchanges in quick succession from turning their noise into a slope.
+    # The prior on the drift keeps two exchanges in quick succession
+    # from turning their noise into a slope.
     information = float(weights @ (x - mean_x) ** 2) + DRIFT_EXPECTED**-2
     slope = float(weights @ ((x - mean_x) * (y - mean_y))) / information
     middle = round(mean_x)
@@ -297,7 +312,8 @@ def _fit_line(exchanges: Sequence[_Exchange]) -> _Line:
 
 
 def _lower_line(points: Sequence[tuple[int, int]]) -> _Line:
-    """Fit the closest line under all delays: the edge of their lower convex hull at their mean time.
+    """Fit the closest line under all delays: the edge
+    of their lower convex hull at their mean time.
 
     It has the least sum of distances (Moon et al. 1999); the hull is Andrew's monotone chain.
     """

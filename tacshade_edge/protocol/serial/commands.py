@@ -1,4 +1,6 @@
-"""The verbs of the robot's line: their arguments, and the texts of ``OK``, ``ERR`` and ``EVT`` lines."""
+"""The verbs of the robot's line: their arguments, and the texts of ``OK``,
+``ERR`` and ``EVT`` lines.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ NAMES_MAX: Final = 6
 RATE_DEFAULT_HZ: Final = 60
 RATE_MAX_HZ: Final = 1000
 SHARE: Final = 0.9
-"""Share of the line's capacity for touch events; the rest stays free for answers and other events."""
+"""Share of the line's capacity for touch events;
+the rest stays free for answers and other events.
+"""
 _BITS_PER_BYTE: Final = 10  # with start and stop bit
 _BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
 _VALUE_BYTES_MAX: Final = 8
@@ -60,7 +64,9 @@ _BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Command:
-    """A command that must be executed and answered once; two are never equal. Its arguments are valid.
+    """A command that must be executed and answered once; two are never equal.
+
+    Its arguments are valid.
 
     `arrived_ns` is the time given to `SerialLink.receive`.
     """
@@ -73,7 +79,9 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class TouchAsked:
-    """The arguments of ``TOUCH ON``: some of `types.QUANTITIES`, and the greatest number of events per second."""
+    """The arguments of ``TOUCH ON``: some of `types.QUANTITIES`,
+    and the greatest number of events per second.
+    """
 
     names: tuple[str, ...]
     rate_hz: int
@@ -81,7 +89,9 @@ class TouchAsked:
 
 @dataclass(frozen=True, slots=True)
 class TouchSeen:
-    """The touch in the frame `seq`: each requested quantity, in the unit of its name, None if unknown."""
+    """The touch in the frame `seq`: each requested quantity, in the unit of its name,
+    None if unknown.
+    """
 
     seq: int
     t_ns: int
@@ -90,7 +100,9 @@ class TouchSeen:
     touched: bool = False  # something touches, but its depth is unknown; `contact` is then False
 
     def text(self) -> str:
-        """The event that reports it: ``touched=1`` for an unknown depth, else ``contact=0`` without contact."""
+        """The event that reports it: ``touched=1`` for an unknown depth,
+        else ``contact=0`` without contact.
+        """
         state = " touched=1" if self.touched else "" if self.contact else " contact=0"
         return f"TOUCH {self.seq} {self.t_ns}{state}" + "".join(
             f" {name}={_value_text(v)}" for name, v in self.values
@@ -102,7 +114,7 @@ def object_text(seq: int, t_ns: int, name: str, probability: float) -> str:
     return f"OBJECT {seq} {t_ns} {name} {probability:.3f}"
 
 
-# -- the arguments ----------------------------------------------------------------------------------------------------
+# -- the arguments ---------------------------------------------------------------------------------
 
 
 def parse_touch(args: Sequence[str]) -> TouchAsked | None:
@@ -130,7 +142,8 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
 
 @dataclass(frozen=True, slots=True)
 class _Verb:
-    """A verb's arguments as ``HELP`` shows them, how many there may be, and what raises DecodeError for wrong ones.
+    """A verb's arguments as ``HELP`` shows them, how many there may be,
+    and what raises DecodeError for wrong ones.
 
     If there are `words`, the first argument is one of them, in any case.
     """
@@ -179,7 +192,9 @@ def parse_command(line: Line, arrived_ns: int) -> Command | Reason:
 
 
 def parse_hello(line: Line) -> tuple[str, bool] | Reason:
-    """The boot's ID, empty if ``HELLO`` names none, and whether it requires checksums, or why it is not valid."""
+    """The boot's ID, empty if ``HELLO`` names none, and whether it requires checksums,
+    or why it is not valid.
+    """
     version, *options = line.args or ("",)
     if version != str(PROTOCOL_VERSION):
         return Reason(
@@ -207,11 +222,13 @@ def _unknown_verb(verb: str) -> Reason:
     return Reason(ReasonCode.UNKNOWN_VERB, f"found {verb[:32]}, expected one of {' '.join(USAGE)}")
 
 
-# -- the texts --------------------------------------------------------------------------------------------------------
+# -- the texts -------------------------------------------------------------------------------------
 
 
 def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str = "") -> str:
-    """The line that answers the command `seq`; docs/reference/serial.md describes each. ``-`` if it has no number.
+    """The line that answers the command `seq`; docs/reference/serial.md describes each.
+
+    ``-`` if it has no number.
 
     An ``ERR`` has its code's word, but most reasons of ``REFERENCE`` share one.
     """
@@ -249,7 +266,9 @@ def _figure_text(name: str, value: object) -> object:
 
 
 def _value_text(value: float | None) -> str:
-    """Format with three decimals, a large number with one; `UNKNOWN` if unknown or larger than any touch."""
+    """Format with three decimals, a large number with one;
+    `UNKNOWN` if unknown or larger than any touch.
+    """
     if value is None or not math.isfinite(value):
         return UNKNOWN
     texts = (f"{value:.{decimals}f}" for decimals in (3, 1))
@@ -261,14 +280,19 @@ def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
     longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE
     if asked.rate_hz * longest_bytes <= most_bytes_s:
         return None
-    found = f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to {longest_bytes} bytes)"
+    found = (
+        f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to "
+        f"{longest_bytes} bytes)"
+    )
     expected = f"expected at most {most_bytes_s:.0f} bytes/s ({100 * SHARE:g} % of {baud} baud)"
     text = f"{found}, {expected}; use a lower RATE, fewer names or a faster line"
     return Reason(ReasonCode.LINE_TOO_SLOW, text)
 
 
 def event_bytes_max(names: Sequence[str]) -> int:
-    """The greatest length in bytes of an event of these quantities, with its checksum, in either mode."""
+    """The greatest length in bytes of an event of these quantities, with its checksum,
+    in either mode.
+    """
     ends, touches = (
         len(
             seal(

@@ -1,8 +1,8 @@
 """Assemble received bytes, however they are split, into whole lines (ASCII) and COBS frames (BIN).
 
-Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7, 1999) encodes any bytes
-without a zero, so that a zero can end a frame. The mode is detected from the bytes, so that neither side waits forever
-when only one has changed its mode.
+Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7, 1999)
+encodes any bytes without a zero, so that a zero can end a frame. The mode is detected from the
+bytes, so that neither side waits forever when only one has changed its mode.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ _HELLO = re.compile(rb"((?:(?<!L)#\d{1,5} +|(?<![L ]))HELLO 1[ -~]*)[\r\n]")
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """Encode `data` without a zero: one byte longer, plus one for every 254 bytes without a zero."""
+    """Encode `data` without a zero: one byte longer,
+    plus one for every 254 bytes without a zero.
+    """
     out = bytearray()
     runs = data.split(b"\0")
     for number, run in enumerate(runs, 1):
@@ -44,7 +46,10 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes:
-    """Decode the output of `cobs_encode`. Raises DecodeError for a zero, or a block longer than the data."""
+    """Decode the output of `cobs_encode`.
+
+    Raises DecodeError for a zero, or a block longer than the data.
+    """
     out = bytearray()
     at, end = 0, len(data)
     if b"\0" in data:
@@ -64,7 +69,10 @@ def cobs_decode(data: bytes) -> bytes:
 
 @dataclass(slots=True)
 class LinkCounts:
-    """Counts since the start. Every numbered pose between two that arrived is in `poses` or `poses_lost`."""
+    """Counts since the start.
+
+    Every numbered pose between two that arrived is in `poses` or `poses_lost`.
+    """
 
     bytes: int = 0
     lines: int = 0
@@ -96,7 +104,9 @@ class Unit:
 
 
 class Framing:
-    """The received bytes that are not a whole line or frame yet, and the mode of the next ones; counts the garbage."""
+    """The received bytes that are not a whole line or frame yet, and the mode of the next ones;
+    counts the garbage.
+    """
 
     def __init__(self, counts: LinkCounts) -> None:
         self.mode: Mode = "ASCII"
@@ -112,7 +122,9 @@ class Framing:
         self._buffer += data
 
     def next_unit(self) -> Unit | None:
-        """Take the next whole line or frame, or None; in response to it, the caller may `switch` the mode."""
+        """Take the next whole line or frame, or None;
+        in response to it, the caller may `switch` the mode.
+        """
         if self.mode == "ASCII":
             if (line := self._next_line()) is not None:
                 return line
@@ -176,7 +188,9 @@ class Framing:
         self._buffer = self._buffer[len(self._buffer) - keep :]
 
     def _detect_binary(self) -> bool:
-        """Switch to BIN if a whole binary pose proves that the robot uses it: the daemon restarted, the robot not."""
+        """Switch to BIN if a whole binary pose proves that the robot uses it:
+        the daemon restarted, the robot not.
+        """
         *frames, tail = self._since_zero.split(b"\0")
         self._since_zero = tail[-(_POSE_FRAME_BYTES + 1) :]
         first = next((at for at, frame in enumerate(frames) if _is_pose(frame)), None)

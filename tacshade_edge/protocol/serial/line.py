@@ -1,7 +1,7 @@
 """Parse and encode one line of the robot's serial channel.
 
-A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is the CRC-16/XMODEM of
-everything before the ``*``. docs/reference/serial.md has the whole grammar.
+A line is ``[#seq] VERB args[*CCCC]`` in printable ASCII, at most 256 bytes with its LF; CCCC is the
+CRC-16/XMODEM of everything before the ``*``. docs/reference/serial.md has the whole grammar.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ _HEAD = re.compile(r"(?:#(\S*) +)?(\S+) *(.*)")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A parsed line: its number (0 to 65535), verb in capitals and arguments, and whether it had a checksum.
+    """A parsed line: its number (0 to 65535), verb in capitals and arguments,
+    and whether it had a checksum.
 
-    `text` is everything before the ``*``: two lines with the same number and text are one line, sent twice.
+    `text` is everything before the ``*``: two lines with the same number and text are one line,
+    sent twice.
     """
 
     seq: int | None
@@ -50,11 +52,17 @@ def printable(text: str) -> str:
 
 
 def parse_line(raw: bytes) -> Line | Reason:
-    """Parse a line without its end. Reasons: NOT_A_LINE (not printable, too long), BAD_CHECKSUM, BAD_SYNTAX."""
+    """Parse a line without its end.
+
+    Reasons: NOT_A_LINE (not printable, too long), BAD_CHECKSUM, BAD_SYNTAX.
+    """
     if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
         return Reason(
             ReasonCode.NOT_A_LINE,
-            f"found an unprintable or overlong line, expected at most {LINE_BYTES_MAX - 1} printable ASCII characters",
+            (
+                f"found an unprintable or overlong line, expected at most {LINE_BYTES_MAX - 1} "
+                "printable ASCII characters"
+            ),
         )
     text, star, digits = raw.decode("ascii").rpartition("*")
     if not star:
@@ -70,7 +78,10 @@ def parse_line(raw: bytes) -> Line | Reason:
     if head is None or (head[1] is None and head[2].startswith("#")):
         return Reason(
             ReasonCode.BAD_SYNTAX,
-            "found a line of another form, expected [#seq] VERB args, optionally followed by a star and the CRC",
+            (
+                "found a line of another form, expected [#seq] VERB args, optionally followed by a "
+                "star and the CRC"
+            ),
         )
     seq = head[1]
     if seq is not None and not (re.fullmatch(r"\d{1,5}", seq) and int(seq) < SEQ_MODULO):

@@ -1,7 +1,8 @@
-"""The robot's serial channel without its port: bytes in, commands and poses out; answers in, bytes out.
+"""The robot's serial channel without its port: bytes in, commands and poses out;
+answers in, bytes out.
 
-A link outlives its port: when its cable is plugged in again, the robot continues where it was. Answers depend only on
-the received bytes: there is no clock and no waiting.
+A link outlives its port: when its cable is plugged in again, the robot continues where it was.
+Answers depend only on the received bytes: there is no clock and no waiting.
 """
 
 from __future__ import annotations
@@ -47,7 +48,10 @@ class PoseArrived:
 
 @dataclass(frozen=True, slots=True)
 class Greeted:
-    """A robot restarted: its clock and its numbers are unknown again. `boot` is empty if the robot gave none."""
+    """A robot restarted: its clock and its numbers are unknown again.
+
+    `boot` is empty if the robot gave none.
+    """
 
     boot: str
 
@@ -75,7 +79,9 @@ class ReplyCache:
         self._entries: dict[int, _Entry] = {}
 
     def admit(self, text: str, command: Command) -> _Entry | Reason | None:
-        """Register a numbered line: None if it must be executed, its entry if it was before, or why it is rejected."""
+        """Register a numbered line: None if it must be executed, its entry if it was before,
+        or why it is rejected.
+        """
         seq = command.seq
         if seq is None:
             return None
@@ -150,7 +156,9 @@ class SerialLink:
         return received
 
     def answer(self, command: Command, outcome: SerialResult | Reason) -> None:
-        """Answer ``OK`` or ``ERR``; ignore a command of an earlier session, whose number may mean another one now."""
+        """Answer ``OK`` or ``ERR``; ignore a command of an earlier session,
+        whose number may mean another one now.
+        """
         text = answer_text(command.seq, outcome, command.verb)
         if self._session.replies.keep(command, text):
             self._send(text)
@@ -166,7 +174,9 @@ class SerialLink:
         return output
 
     def interrupted(self) -> None:
-        """Discard partial input and pending output after the port was lost; keep everything else."""
+        """Discard partial input and pending output after the port was lost;
+        keep everything else.
+        """
         self._framing.clear()
         self._output.clear()
 
@@ -241,7 +251,9 @@ class SerialLink:
         yield PoseArrived(sample, now_ns, missing)
 
     def _bad_pose(self, seq: int | None, text: str, now_ns: int) -> None:
-        """Report a bad pose at most once a second: poses get no answer, but developers must learn what is wrong."""
+        """Report a bad pose at most once a second: poses get no answer,
+        but developers must learn what is wrong.
+        """
         self.counts.poses_bad += 1
         answered_ns = self._bad_pose_answered_ns
         if answered_ns is None or now_ns - answered_ns >= BAD_POSE_PERIOD_NS:

@@ -29,7 +29,8 @@ PoseValues = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class PoseSample:
-    """One pose as the robot sent it: its number modulo 65536, if any, and its time on the robot's clock.
+    """One pose as the robot sent it: its number modulo 65536, if any,
+    and its time on the robot's clock.
 
     `values` are ``base_T_flange``: x, y, z in mm, unit quaternion w, x, y, z.
     """
@@ -85,7 +86,8 @@ def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSampl
     x, y, z, w, i, j, k = values
     if not max(abs(x), abs(y), abs(z)) <= POSITION_MAX_MM:  # also rejects NaN
         raise DecodeError(
-            f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the origin"
+            f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the "
+            "origin"
         )
     norm = math.sqrt(w * w + i * i + j * j + k * k)
     if not abs(norm - 1) <= UNIT_TOLERANCE:
@@ -100,7 +102,8 @@ class PoseSequence:
         self._newest: int | None = None
 
     def missing_before(self, seq: int | None) -> int | None:
-        """The number of poses missing between this pose and the previous one; None for a repeated pose.
+        """The number of poses missing between this pose and the previous one;
+        None for a repeated pose.
 
         A pose without a number (None) follows the previous one.
         """

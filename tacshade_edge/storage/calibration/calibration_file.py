@@ -40,9 +40,14 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 VERSION = 9
-"""It also counts the networks, as factors fit the weights shipped with them (tests/inference/test_network.py)."""
+"""It also counts the networks, as factors fit the weights shipped with them
+(tests/inference/test_network.py).
+"""
 OLDEST = 6
-"""Oldest readable version; later ones differ only in the networks that their factors fit. Older factors are ignored."""
+"""Oldest readable version; later ones differ only in the networks that their factors fit.
+
+Older factors are ignored.
+"""
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 TOUCH_BYTES_MAX = 4 << 20
 _ALWAYS = ("factors", "fit", "flange_T_sensor")
@@ -51,7 +56,9 @@ _Shape = list[Annotated[int, Meta(ge=0)]]
 
 
 def fit_figures(fit: Fit | None) -> dict[str, float]:
-    """A fit under flat keys, as in the file and in the commands' JSON; a profile's keys begin with its name."""
+    """A fit under flat keys, as in the file and in the commands' JSON;
+    a profile's keys begin with its name.
+    """
     if fit is None:
         return {}
     figures = {
@@ -115,8 +122,10 @@ def with_crc(calibration: Calibration) -> Calibration:
 def save(
     path: str | os.PathLike[str], calibration: Calibration, inputs: Inputs | None = None
 ) -> Calibration:
-    """Write a calibration whole, and its source images (the log says if they are too large) for `inputs_in`; return it
-    with its `crc32`. Raises DeviceError.
+    """Write a calibration whole, and its source images (the log says if they are too large) for
+    `inputs_in`; return it with its `crc32`.
+
+    Raises DeviceError.
     """
     stored = with_crc(calibration)
     content = _content(stored)
@@ -125,7 +134,10 @@ def save(
             content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
         else:
             _log.warning(
-                "%s: the calibration's images are too large to store; calibrate again after each update",
+                (
+                    "%s: the calibration's images are too large to store; "
+                    "calibrate again after each update"
+                ),
                 path,
             )
     try:
@@ -138,8 +150,9 @@ def save(
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration; an older version loads without factors and fit, and the log says so. Raises ConfigError, as
-    do the functions below, which read files of any version.
+    """Read a calibration; an older version loads without factors and fit, and the log says so.
+
+    Raises ConfigError, as do the functions below, which read files of any version.
     """
     return _read(path, lambda content: _calibration(path, content))
 
@@ -214,7 +227,9 @@ def _fitted(content: Content) -> dict[str, FittedNetwork]:
 
 
 def _touch(content: Content) -> dict[str, TouchModel]:
-    """The models, of each of which an array holds all parts but the components, which are in 16 bits."""
+    """The models, of each of which an array holds all parts but the components,
+    which are in 16 bits.
+    """
     made = {}
     for name, about in _profiles(content, "touch").items():
         shapes = msgspec.convert(about.pop("shapes", None), dict[str, _Shape])
@@ -262,7 +277,9 @@ class _Indenter(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _Inputs(msgspec.Struct, forbid_unknown_fields=True):
-    """The lengths of the PNG files in order (references, renewed, presses), and everything that is not an array."""
+    """The lengths of the PNG files in order (references, renewed, presses),
+    and everything that is not an array.
+    """
 
     sensor: Sensor
     references: list[int]
@@ -273,7 +290,9 @@ class _Inputs(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def pack_inputs(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Pack inputs as values for JSON and the arrays `INPUT_ARRAYS`; None if the images are too large to store."""
+    """Pack inputs as values for JSON and the arrays `INPUT_ARRAYS`;
+    None if the images are too large to store.
+    """
     groups = (inputs.references, inputs.renewed, tuple(press.image for press in inputs.presses))
     files = [[cv2.imencode(".png", image)[1].tobytes() for image in group] for group in groups]
     if sum(len(file) for group in files for file in group) > INPUT_BYTES_MAX:
@@ -301,7 +320,10 @@ def pack_inputs(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
 
 
 def unpack_inputs(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Inputs | None:
-    """The inputs in a calibration's content, with images of its reference's size; None without. Raises ValueError."""
+    """The inputs in a calibration's content, with images of its reference's size; None without.
+
+    Raises ValueError.
+    """
     if "inputs" not in meta:
         return None
     try:

@@ -1,4 +1,6 @@
-"""The reference that a running daemon took: one ``.npz`` file next to the calibration that it belongs to."""
+"""The reference that a running daemon took: one ``.npz`` file next to the calibration
+that it belongs to.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +39,17 @@ class _File:
 
 
 def path_beside(calibration_path: str | os.PathLike[str]) -> Path:
-    """The path of the reference for a calibration's file; two sensors' files in one folder get different ones."""
+    """The path of the reference for a calibration's file;
+    two sensors' files in one folder get different ones.
+    """
     return Path(calibration_path).with_suffix(".reference.npz")
 
 
 def save(path: Path, calibrated: Calibration, reference: StoredReference) -> None:
-    """Write a reference of `calibrated`, which is as in its file; it survives a power cut. Raises DeviceError."""
+    """Write a reference of `calibrated`, which is as in its file; it survives a power cut.
+
+    Raises DeviceError.
+    """
     taken = reference.calibration
     arrays = taken.reference_white, taken.reference_grey
     file = _File(VERSION, belongs_to(calibrated), reference.wall_ns, taken.noise_grey, *arrays)
@@ -52,8 +59,10 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
 
 
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
-    """Read the stored reference of a calibration, given as in its file; None if there is none. Raises ConfigError if it
-    is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
+    """Read the stored reference of a calibration, given as in its file; None if there is none.
+
+    Raises ConfigError if it is unreadable, damaged,
+    or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
     """
     if not os.path.lexists(path):
         return None
@@ -77,7 +86,9 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
 
 
 def belongs_to(calibrated: Calibration) -> int:
-    """CRC-32 of the values that a new reference replaces or uses; recalibration after an update keeps it."""
+    """CRC-32 of the values that a new reference replaces or uses;
+    recalibration after an update keeps it.
+    """
     disc = calibrated.geometry.disc
     meta = {
         "disc": [disc.row_c, disc.col_c, disc.radius_px],

@@ -21,7 +21,9 @@ from tacshade_edge.storage.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
 
 Add = Callable[[RecordedFrame, Reconstruction], None]
-"""Takes the next frame; an export is a context that gives one, and completes the file when its block ends."""
+"""Takes the next frame; an export is a context that gives one,
+and completes the file when its block ends.
+"""
 
 _AXES: Final = "xyz"
 _MOTION: Final = (
@@ -36,8 +38,11 @@ _MOTION: Final = (
 
 @contextlib.contextmanager
 def new_path(path: Path) -> Iterator[Path]:
-    """The ``.part`` of a new file or folder, which gets its final name when the block ends; an error removes it. Raises
-    ConfigError if the name exists, and DeviceError if the disk is nearly full or cannot be written.
+    """The ``.part`` of a new file or folder, which gets its final name when the block ends;
+    an error removes it.
+
+    Raises ConfigError if the name exists, and DeviceError if the disk is nearly full
+    or cannot be written.
     """
     if path.exists():
         raise ConfigError(
@@ -66,7 +71,9 @@ def _remove(path: Path) -> None:
 
 
 def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str, Any]:
-    """The fields of ``contact`` (docs/reference/mqtt/frames.md) without ``fps``, which only a daemon knows."""
+    """The fields of ``contact`` (docs/reference/mqtt/frames.md) without ``fps``,
+    which only a daemon knows.
+    """
     numbers: dict[str, Any] = json.loads(encode_contact(result, fps=0.0))
     del numbers["fps"]
     numbers["wall_ns"] = (
@@ -77,7 +84,9 @@ def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str
 
 @contextlib.contextmanager
 def csv_export(path: Path, touch_names: Sequence[str]) -> Iterator[Add]:
-    """A CSV file with a row per frame and empty cells for missing values; `touch_names` are a touch's quantities."""
+    """A CSV file with a row per frame and empty cells for missing values;
+    `touch_names` are a touch's quantities.
+    """
     with new_path(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         header: list[str] = []
@@ -95,7 +104,9 @@ def csv_export(path: Path, touch_names: Sequence[str]) -> Iterator[Add]:
 def _frame_numbers(
     recorded: RecordedFrame, result: Reconstruction, touch_names: Sequence[str]
 ) -> dict[str, Any]:
-    """A table row: image, times, the numbers of contact and touch, ``base_T_flange``; None for a missing value."""
+    """A table row: image, times, the numbers of contact and touch, ``base_T_flange``;
+    None for a missing value.
+    """
     touch, frame = touch_fields(result.touch), recorded.frame
     return {
         "image": recorded.name,
@@ -114,7 +125,9 @@ def _frame_numbers(
 
 @contextlib.contextmanager
 def ply_export(folder: Path) -> Iterator[Add]:
-    """A folder of ``SEQ.ply`` files: points of the skin in contact in mm, sensor frame, with their object's number."""
+    """A folder of ``SEQ.ply`` files: points of the skin in contact in mm, sensor frame,
+    with their object's number.
+    """
     with new_path(folder) as partial:
         partial.mkdir()
 

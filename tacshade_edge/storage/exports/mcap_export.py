@@ -1,4 +1,6 @@
-"""Exports of recordings as one MCAP file for viewers, which needs the extra ``mcap``; docs/how-to/recordings.md."""
+"""Exports of recordings as one MCAP file for viewers, which needs the extra ``mcap``;
+docs/how-to/recordings.md.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def mcap_export(
     profile: str,
     content: Mapping[str, bytes],
 ) -> Iterator[Add]:
-    """Frames and results; the recording's other files (`content`) become attachments, and the events also log lines."""
+    """Frames and results; the recording's other files (`content`) become attachments,
+    and the events also log lines.
+    """
     events = list(events_in(dict(content)))
     wall_minus_t_ns: int | None = None
     with new_path(path) as partial, partial.open("wb") as stream:
@@ -82,7 +86,10 @@ def mcap_export(
 
 
 def write_hand_mcap(path: Path, hand_id: str, messages: Iterable[HandObjects]) -> int:
-    """Write the topic ``/tacshade/hand/ID/objects``; return the number of messages. Raises like `new_path`."""
+    """Write the topic ``/tacshade/hand/ID/objects``; return the number of messages.
+
+    Raises like `new_path`.
+    """
     count = 0
     with new_path(path) as partial, partial.open("wb") as stream:
         writer = McapWriter(stream, f"hand/{hand_id}")

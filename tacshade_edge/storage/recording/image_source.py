@@ -15,8 +15,9 @@ _log = logging.getLogger(__name__)
 
 
 class FilesSource:
-    """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file, in the order of `Recording`,
-    with its poses. A late reader gets the next frame at once, but never a burst.
+    """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file, in the
+    order of `Recording`, with its poses. A late reader gets the next frame at once, but never a
+    burst.
     """
 
     def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
@@ -90,7 +91,10 @@ class FilesSource:
 
 
 def first_size_px(path: Path) -> tuple[int, int] | None:
-    """The width and height of the first image in px; None if it is unusable. Raises ConfigError if there is none."""
+    """The width and height of the first image in px; None if it is unusable.
+
+    Raises ConfigError if there is none.
+    """
     if (entry := Recording(path, video_table=False).next_entry()) is None:
         raise ConfigError(f"{path}: found no image, expected an MCAP file with images")
     try:

@@ -1,5 +1,5 @@
-"""Writes a recording for `storage.recording.recording`: PNG frames, their table, events, settings and calibration; or
-the frames in MCAP files instead.
+"""Writes a recording for `storage.recording.recording`: PNG frames, their table, events, settings
+and calibration; or the frames in MCAP files instead.
 """
 
 from __future__ import annotations
@@ -42,8 +42,11 @@ FILE_BYTES_MAX: Final = 512 << 20
 FILE_NS_MAX: Final = 300 * 1_000_000_000
 """Limits of one MCAP file, because its index stays in memory until its end, at 0.7 kB per frame."""
 _CHUNK_BYTES: Final = 16 << 10
-"""A chunk ends when it exceeds this size, as any picture does, so truncation loses only a frame or two."""
-# Lossless; for grey images 2.5 times as fast as zlib's level 1 and no larger (docs/how-to/replay.md).
+"""A chunk ends when it exceeds this size, as any picture does,
+so truncation loses only a frame or two.
+"""
+# Lossless; for grey images 2.5 times as fast as zlib's level 1 and no larger
+# (docs/how-to/replay.md).
 PNG_OPTIONS = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
@@ -57,10 +60,12 @@ def png_of(image: U8) -> bytes:
 
 
 class Recorder:
-    """One recording in a new folder, made at once; call `begin` first. The table and the events grow as ``.part``, a
-    whole line at a time, after the file that it names; after a crash `storage.recording.recording` reads them. Raises
-    ConfigError if the folder exists, and DeviceError, as the methods do, if it cannot be written or the disk is down to
-    the floor.
+    """One recording in a new folder, made at once; call `begin` first.
+
+    The table and the events grow as ``.part``, a whole line at a time, after the file that it
+    names; after a crash `storage.recording.recording` reads them. Raises ConfigError if the folder
+    exists, and DeviceError, as the methods do, if it cannot be written or the disk is down to the
+    floor.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -80,7 +85,9 @@ class Recorder:
                 ) from None
 
     def begin(self, settings_yaml: str, calibration: Calibration) -> None:
-        """Write the calibration and settings, which a replay needs, and open the events and the table."""
+        """Write the calibration and settings, which a replay needs,
+        and open the events and the table.
+        """
         calibration_file.save(self.folder / CALIBRATION_NAME, calibration)
         with disk_errors(self.folder):
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
@@ -92,7 +99,9 @@ class Recorder:
             sync(self.folder)
 
     def add(self, frame: Frame, png: bytes) -> bool:
-        """Write a frame with its image `png`; write nothing and return False if the disk is down to the floor."""
+        """Write a frame with its image `png`; write nothing and return False if the disk is down
+        to the floor.
+        """
         with disk_errors(self.folder):
             if is_nearly_full(self.folder):
                 return False
@@ -118,7 +127,9 @@ class Recorder:
             self._lines[EVENTS_NAME].write(line.encode())
 
     def sync(self) -> None:
-        """Wait until everything written is on the disk; syncing each frame alone would cost too much."""
+        """Wait until everything written is on the disk;
+        syncing each frame alone would cost too much.
+        """
         with disk_errors(self.folder):
             for path in self._unsynced:
                 sync(path)
@@ -151,7 +162,9 @@ def _columns(frame: Frame) -> str:
 
 
 class McapRecorder(Recorder):
-    """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...; each opens alone and grows as ``.part``."""
+    """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...;
+    each opens alone and grows as ``.part``.
+    """
 
     def __init__(self, folder: Path, sensor_id: str) -> None:
         require_mcap()
@@ -225,7 +238,9 @@ class McapRecorder(Recorder):
         self._leave_file()
 
     def _leave_file(self) -> None:
-        """Close the file; a torn record stays the last one in its ``.part``, which readers read up to it."""
+        """Close the file; a torn record stays the last one in its ``.part``,
+        which readers read up to it.
+        """
         if self._open is not None:
             with contextlib.suppress(OSError):  # flushing the buffer may fail, too
                 self._open[0].close()

@@ -1,4 +1,6 @@
-"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame and drops none."""
+"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame
+and drops none.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +30,17 @@ DEFAULT_FPS = 30.0
 Picture = Callable[[], U8]
 """Reads an image when its turn comes. Raises DecodeError."""
 
-# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens playlists, which can name
-# any file or address.
+# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens
+# playlists, which can name any file or address.
 _FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedFrame:
-    """A frame with the name of its image (or its number in a video or an MCAP file) and the Unix time of the capture
-    (or `t_ns`, if unknown); the frame's own `wall_ns` is 0, so that equal recordings give equal bytes.
+    """A frame with the name of its image (or its number in a video or an MCAP file) and the Unix
+    time of the capture (or `t_ns`, if unknown); the frame's own `wall_ns` is 0, so that equal
+    recordings give equal bytes.
     """
 
     name: str
@@ -55,13 +58,15 @@ class Entry(NamedTuple):
 
 
 class Recording:
-    """A folder of images (table ``frames.csv``), one image, a video ``NAME.mp4`` (table ``NAME.csv``, if `video_table`)
-    or MCAP. Raises ConfigError if there is nothing to replay, or the table is wrong.
+    """A folder of images (table ``frames.csv``), one image, a video ``NAME.mp4`` (table
+    ``NAME.csv``, if `video_table`) or MCAP.
 
-    `fps` is the frame rate of the time stamps without a table. Time stamps and numbers keep growing in `times` passes
-    (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote before is included. `damage` is of
-    everything but images, for a person. `images` is the number of frames of one pass and `frames` that of all; 0 or
-    None if unknown before the end.
+    Raises ConfigError if there is nothing to replay, or the table is wrong.
+
+    `fps` is the frame rate of the time stamps without a table. Time stamps and numbers keep growing
+    in `times` passes (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote
+    before is included. `damage` is of everything but images, for a person. `images` is the number
+    of frames of one pass and `frames` that of all; 0 or None if unknown before the end.
     """
 
     def __init__(
@@ -75,7 +80,8 @@ class Recording:
         self.cut_off, self.damage, self.images = False, "", 0
         if fps is not None and (stated := path if self._mcap else self._table) is not None:
             raise ConfigError(
-                f"--fps: found {fps:g}, expected no value, because {stated} contains the time stamps"
+                f"--fps: found {fps:g}, expected no value, "
+                f"because {stated} contains the time stamps"
             )
         if self._mcap is not None:
             self.cut_off, self.damage = self._mcap.cut_off, self._mcap.damage
@@ -93,8 +99,10 @@ class Recording:
         self._entries: Iterator[Entry] = (Entry(seq, *entry) for seq, entry in entries)
 
     def read(self) -> RecordedFrame | None:
-        """The next frame; None after the last. Raises DecodeError if this image is unusable, after which the next call
-        continues with the next one, and ConfigError if a video's table does not have one row per frame.
+        """The next frame; None after the last.
+
+        Raises DecodeError if this image is unusable, after which the next call continues with the
+        next one, and ConfigError if a video's table does not have one row per frame.
         """
         if (entry := self.next_entry()) is None:
             return None
@@ -108,7 +116,9 @@ class Recording:
 
     @property
     def length_ns(self) -> int:
-        """The time from a pass's first frame to its last; 0 if unknown, as for a video or truncated MCAP file."""
+        """The time from a pass's first frame to its last;
+        0 if unknown, as for a video or truncated MCAP file.
+        """
         if self._mcap is not None:
             return self._mcap.length_ns
         if self._rows is not None:
@@ -116,7 +126,9 @@ class Recording:
         return round(max(self.images - 1, 0) * self._period_ns)
 
     def skip_to(self, t_ns: int, *, frames: int = 0) -> None:
-        """Skip the frames before this time except the last `frames` of them; in a folder their images are not read."""
+        """Skip the frames before this time except the last `frames` of them;
+        in a folder their images are not read.
+        """
         before: deque[Entry] = deque(maxlen=frames)
         for entry in self._entries:
             if entry.row.t_ns >= t_ns:
@@ -165,7 +177,8 @@ class Recording:
         video.release()
         if self._rows is not None and index < len(self._rows):
             raise ConfigError(
-                f"{self._table}: found {len(self._rows)} rows, expected {index}, one per video frame"
+                f"{self._table}: found {len(self._rows)} rows, expected {index}, "
+                "one per video frame"
             )
 
     def _video_row(self, index: int) -> Row:
@@ -175,7 +188,8 @@ class Recording:
         if row is None or row.image != str(index):
             found = f"row {index + 1} is not that of frame {index}"
             raise ConfigError(
-                f"{self._table}: {found}, expected one row per video frame, with frames numbered from 0"
+                f"{self._table}: {found}, expected one row per video frame, "
+                "with frames numbered from 0"
             )
         return row
 
@@ -201,7 +215,8 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         )
     if not video.isOpened() or not video.grab():
         raise ConfigError(
-            f"{path}: found a file that OpenCV cannot read, expected a video file or a folder of images"
+            f"{path}: found a file that OpenCV cannot read, "
+            "expected a video file or a folder of images"
         )
     return [], cv2.VideoCapture(
         str(path), cv2.CAP_FFMPEG

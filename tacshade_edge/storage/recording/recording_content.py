@@ -52,8 +52,10 @@ class _Clocks(msgspec.Struct):
 
 
 def content_of(recording: Path) -> dict[str, bytes]:
-    """The calibration, settings, events and ``recording.json`` by name, as far as they exist. The log reports
-    attachments of an MCAP file that are damaged or too large. Raises ConfigError if another file is.
+    """The calibration, settings, events and ``recording.json`` by name, as far as they exist.
+
+    The log reports attachments of an MCAP file that are damaged or too large.
+    Raises ConfigError if another file is.
     """
     if not recording.is_dir() and is_mcap(recording):
         require_mcap()

@@ -1,4 +1,6 @@
-"""A stitched map as files (map.npz, map.ply, map.png and map.json, preview.png), and ``flange.json``."""
+"""A stitched map as files (map.npz, map.ply, map.png and map.json, preview.png),
+and ``flange.json``.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,10 @@ def write_map(
     details: Mapping[str, Any],
     more: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Write all files of a map, so that files beside a ``map.json`` (with the additional keys `details`) are of one
-    map, also after a kill. Raises DeviceError.
+    """Write all files of a map, so that files beside a ``map.json`` (with the additional keys
+    `details`) are of one map, also after a kill.
+
+    Raises DeviceError.
     """
     levels, z0_mm, scale_mm = _levels(raster.z_mm)
     about = {
@@ -83,7 +87,9 @@ def _points(raster: Raster) -> Iterator[bytes]:
 
 
 def _levels(z_mm: F32) -> tuple[NDArray[np.uint16], float, float]:
-    """16-bit levels, the z of level 1 and the step in mm; the step grows with the range of heights if necessary."""
+    """16-bit levels, the z of level 1 and the step in mm;
+    the step grows with the range of heights if necessary.
+    """
     low, high = height_span_mm(z_mm)
     scale_mm = max(_PNG_SCALE_MM, (high - low) / 65534)
     levels = np.empty(z_mm.shape, np.uint16)

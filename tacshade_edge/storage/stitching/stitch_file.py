@@ -1,8 +1,9 @@
 """A stitching session on disk: acknowledged presses survive a kill or a power cut.
 
-A folder has ``session.json`` (written whole, by renaming) and ``presses.bin``, to which every press is appended and
-synced before it is acknowledged. Both have checksums. If ``presses.bin`` is damaged or a crash truncated its last
-press, a copy of the damaged file is kept, and the session keeps every whole press, including those after the damage.
+A folder has ``session.json`` (written whole, by renaming) and ``presses.bin``, to which every press
+is appended and synced before it is acknowledged. Both have checksums. If ``presses.bin`` is damaged
+or a crash truncated its last press, a copy of the damaged file is kept, and the session keeps every
+whole press, including those after the damage.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ _Crc32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 
 class SessionInfo(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The content of ``session.json``; `crc32`, in the file only, is that of the other fields as compact JSON.
-    `sensor_id` is empty in version 1; the calibration is the one with which the session began;
-    `skin_radius_mm` is 0 for a pad.
+    """The content of ``session.json``; `crc32`, in the file only, is that of the other fields as
+    compact JSON. `sensor_id` is empty in version 1; the calibration is the one with which the
+    session began; `skin_radius_mm` is 0 for a pad.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=64)]
@@ -91,7 +92,10 @@ class StitchFile:
 
     @classmethod
     def resume(cls, folder: Path) -> tuple[StitchFile, list[tuple[PressPoints, Rigid]]]:
-        """Resume a session: its file and whole presses in order. Raises DecodeError if ``session.json`` is unusable."""
+        """Resume a session: its file and whole presses in order.
+
+        Raises DecodeError if ``session.json`` is unusable.
+        """
         file = cls(folder, read_info(folder))
         path = folder / PRESSES
         with disk_errors(folder):
@@ -107,7 +111,10 @@ class StitchFile:
                 sync(beside)
                 write_whole(path, b"".join(data[start:end] for _, _, start, end in found))
                 sync(folder)
-                kept = f"continuing with {len(found)} whole presses and keeping the old file as {beside.name}"
+                kept = (
+                    f"continuing with {len(found)} whole presses and keeping the old file as "
+                    f"{beside.name}"
+                )
                 _log.warning("%s: %d bytes are damaged or incomplete; %s", path, lost, kept)
         return file, [(points, pose) for points, pose, _, _ in found]
 
@@ -158,7 +165,9 @@ class StitchFile:
             write_whole(self.folder / SESSION, _json(self.info))
 
     def remove(self) -> None:
-        """Delete the session's files, and the folder if it is then empty; do nothing if it is gone already."""
+        """Delete the session's files, and the folder if it is then empty;
+        do nothing if it is gone already.
+        """
         self.close()
         if not self.folder.exists():
             return
@@ -178,7 +187,10 @@ class StitchFile:
 
 
 def open_session(folder: Path, sensor_id: str) -> Path | None:
-    """The newest open session of a sensor below a folder; None without one. The log names damaged sessions."""
+    """The newest open session of a sensor below a folder; None without one.
+
+    The log names damaged sessions.
+    """
     found = []
     for path in sorted(folder.glob(f"*/{SESSION}")):
         try:
@@ -192,7 +204,10 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
 
 
 def read_info(folder: Path) -> SessionInfo:
-    """Read ``session.json``. Raises DecodeError if it is unreadable, damaged, or of another version."""
+    """Read ``session.json``.
+
+    Raises DecodeError if it is unreadable, damaged, or of another version.
+    """
     path = folder / SESSION
     try:
         info = msgspec.json.decode(read_regular(path, _INFO_BYTES_MAX), type=SessionInfo)
@@ -206,7 +221,8 @@ def read_info(folder: Path) -> SessionInfo:
         raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
     if info.version >= 2 and info.crc32 != _crc32(info):
         raise DecodeError(
-            f"{path}: the file is damaged: found checksum {_crc32(info)}, expected the stored {info.crc32}"
+            f"{path}: the file is damaged: found checksum {_crc32(info)}, "
+            f"expected the stored {info.crc32}"
         )
     return msgspec.structs.replace(info, crc32=0)
 

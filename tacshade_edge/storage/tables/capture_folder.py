@@ -33,7 +33,9 @@ class TakenPress:
 
 
 class CaptureFolder:
-    """The folder; each change is complete on the disk when the call returns, or it raises DeviceError."""
+    """The folder; each change is complete on the disk when the call returns,
+    or it raises DeviceError.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -59,7 +61,9 @@ class CaptureFolder:
             raise ConfigError(f"{error}; delete this image to take the references again") from None
 
     def write_references(self, images: Sequence[U8]) -> None:
-        """Replace the reference images; an interruption leaves too few images but never a mixture of two sets."""
+        """Replace the reference images; an interruption leaves too few images but never a mixture
+        of two sets.
+        """
         with disk_errors(self.path):
             for path in self.path.glob(REFERENCES):
                 path.unlink()
@@ -128,7 +132,8 @@ class CaptureFolder:
         for where, row in rows:
             if not (self.path / row["image"]).is_file():
                 raise ConfigError(
-                    f"{where}: image: found no file {row['image']}, expected one in the table's folder"
+                    f"{where}: image: found no file {row['image']}, "
+                    "expected one in the table's folder"
                 )
             taken.append(TakenPress(row["image"], Stated(stated_columns(row))))
         return taken

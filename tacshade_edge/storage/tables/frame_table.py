@@ -44,7 +44,9 @@ class Row:
 
 
 class FrameTable(Sequence[Row]):
-    """The rows of a table, kept as its lines: one `Row` object each would take three times the memory."""
+    """The rows of a table, kept as its lines: one `Row` object each would take three times the
+    memory.
+    """
 
     def __init__(self) -> None:
         self.damaged = 0
@@ -58,7 +60,10 @@ class FrameTable(Sequence[Row]):
     @property
     def damage(self) -> str:
         """A line for a person about the lines left out; empty if there are none."""
-        found = f"left out {self.damaged} damaged lines and their frames, because the checksums do not match"
+        found = (
+            f"left out {self.damaged} damaged lines and their frames, "
+            "because the checksums do not match"
+        )
         return f"{self.first_damaged}: {found}" if self.damaged else ""
 
     def __len__(self) -> int:
@@ -76,19 +81,26 @@ class FrameTable(Sequence[Row]):
 
 
 def table_in(folder: Path) -> Path | None:
-    """The path of a folder's table of frames, or of the ``.part`` that a crashed writer left; None without either."""
+    """The path of a folder's table of frames, or of the ``.part`` that a crashed writer left;
+    None without either.
+    """
     table = folder / TABLE_NAME
     return next((path for path in (table, part(table)) if path.exists()), None)
 
 
 def line_crc32(columns: str) -> str:
-    """The last cell of a line: zlib's CRC-32 of everything before its last comma, in eight hexadecimal digits."""
+    """The last cell of a line: zlib's CRC-32 of everything before its last comma,
+    in eight hexadecimal digits.
+    """
     return f"{zlib.crc32(columns.encode()):08x}"
 
 
 def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
-    """Read frames.csv. Lines with a wrong ``crc32`` are left out and counted; with `cut_off`, its writer crashed, so an
-    unterminated last line is left out. Raises ConfigError for a mistake, times that do not increase, or no row.
+    """Read frames.csv.
+
+    Lines with a wrong ``crc32`` are left out and counted; with `cut_off`, its writer crashed, so an
+    unterminated last line is left out. Raises ConfigError for a mistake, times that do not
+    increase, or no row.
     """
     rows, last_ns, header = FrameTable(), -1, list[str]()
     try:
@@ -116,7 +128,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                     )
                 if (row := _row(where, cells)).t_ns <= last_ns:
                     raise ConfigError(
-                        f"{where}: t_ns: found {row.t_ns}, expected more than the previous row's {last_ns}"
+                        f"{where}: t_ns: found {row.t_ns}, "
+                        f"expected more than the previous row's {last_ns}"
                     )
                 if len(rows) == ROWS_MAX:
                     raise ConfigError(
@@ -197,7 +210,10 @@ class PosedImage:
 
 
 def read_poses(path: Path) -> list[PosedImage]:
-    """Read the table but not its images, whose paths are relative to it. Raises ConfigError for a mistake or no row."""
+    """Read the table but not its images, whose paths are relative to it.
+
+    Raises ConfigError for a mistake or no row.
+    """
     rows, unknown = read_columns(path, POSES_HEADER, (), "poses", rows_max=POSES_MAX)
     if unknown:
         raise ConfigError(

@@ -1,4 +1,6 @@
-"""INDENTERS.yaml and its meshes: the shapes that PRESSES.csv names; and a folder of printable indenters."""
+"""INDENTERS.yaml and its meshes: the shapes that PRESSES.csv names;
+and a folder of printable indenters.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "cone": ("angle_deg",),
     "mesh": ("file",),
 }
-"""The required keys of each shape, in the order of the arguments of its function in `core.calibration.indenters`."""
+"""The required keys of each shape, in the order of the arguments of its function in
+`core.calibration.indenters`.
+"""
 
 
 class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -45,7 +49,10 @@ class IndenterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
-    """Read INDENTERS.yaml: name to (``FILE:LINE``, entry). Raises ConfigError, ``FILE:LINE: NAME.key: found …``."""
+    """Read INDENTERS.yaml: name to (``FILE:LINE``, entry).
+
+    Raises ConfigError, ``FILE:LINE: NAME.key: found …``.
+    """
     file = strict_yaml.read(path)
     found = file.found
     if not isinstance(file.value, dict):
@@ -63,7 +70,8 @@ def read_indenters_file(path: Path) -> dict[str, tuple[str, IndenterEntry]]:
         for key in REQUIRED[entry.shape]:
             if getattr(entry, key) is None:
                 raise ConfigError(
-                    f"{where}: {name}.{key}: found nothing, expected a value for shape {entry.shape}"
+                    f"{where}: {name}.{key}: found nothing, expected a value for shape "
+                    f"{entry.shape}"
                 )
         entries[name] = where, entry
     return entries
@@ -74,15 +82,20 @@ _LEAST_MM, _MOST_MM = 0.5, 500.0
 
 
 def read_indenters(path: Path) -> dict[str, Indenter | float]:
-    """Read the file and its meshes: name to indenter, or to a ball's radius in mm. Raises ConfigError."""
+    """Read the file and its meshes: name to indenter, or to a ball's radius in mm.
+
+    Raises ConfigError.
+    """
     return {
         name: _indenter(path, name, *entry) for name, entry in read_indenters_file(path).items()
     }
 
 
 def write_printables(folder: Path) -> list[Path]:
-    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses, PLAN.csv. Raises
-    ConfigError if one of the tables exists, as it may be a person's own, and DeviceError.
+    """Write an STL file for each of `printables`, their INDENTERS.yaml, and a plan of presses,
+    PLAN.csv.
+
+    Raises ConfigError if one of the tables exists, as it may be a person's own, and DeviceError.
     """
     table, plan = folder / "INDENTERS.yaml", folder / "PLAN.csv"
     for path in (table, plan):
@@ -122,8 +135,12 @@ def _mesh(path: Path, name: str, where: str) -> Indenter:
         raise ConfigError(f"{where}: {name}.file: {error}") from None
     size_mm = float((triangles_mm.max(axis=(0, 1)) - triangles_mm.min(axis=(0, 1))).max())
     if not _LEAST_MM <= size_mm <= _MOST_MM:
-        expected = f"expected {_LEAST_MM} to {_MOST_MM:g} mm, because tacshade-edge reads lengths in STL files as mm"
+        expected = (
+            f"expected {_LEAST_MM} to {_MOST_MM:g} mm, "
+            "because tacshade-edge reads lengths in STL files as mm"
+        )
         raise ConfigError(
-            f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g} mm, {expected}"
+            f"{where}: {name}.file: {path}: found a largest dimension of {size_mm:.3g} mm, "
+            f"{expected}"
         )
     return shapes.mesh(name, triangles_mm)

@@ -1,5 +1,5 @@
-"""LABELS.csv: known quantities of each frame, from a robot or person, as ``calibrate`` and ``evaluate --labels`` read
-it and ``capture --labels`` writes it with its images.
+"""LABELS.csv: known quantities of each frame, from a robot or person, as ``calibrate`` and
+``evaluate --labels`` read it and ``capture --labels`` writes it with its images.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from tacshade_edge.types import QUANTITIES, U8
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """An image and its known quantities (of `types.QUANTITIES`); `where` is ``FILE:LINE``, `group` names its press."""
+    """An image and its known quantities (of `types.QUANTITIES`);
+    `where` is ``FILE:LINE``, `group` names its press.
+    """
 
     path: Path
     known: Mapping[str, float]
@@ -28,8 +30,9 @@ class LabelledImage:
 
 
 def read_labels(path: Path, folder: Path) -> list[LabelledImage]:
-    """Read the table, whose images are in `folder`; an empty cell is an unknown quantity. Raises ConfigError for a
-    mistake, no quantity, or no row at all.
+    """Read the table, whose images are in `folder`; an empty cell is an unknown quantity.
+
+    Raises ConfigError for a mistake, no quantity, or no row at all.
     """
     rows, unknown = read_columns(path, ("image",), (*QUANTITIES, "group"), "labels")
     if unknown:
@@ -59,7 +62,9 @@ LABELS = "LABELS.csv"
 
 @dataclass(frozen=True, slots=True)
 class LabelRow:
-    """A row: an image of the folder, its known quantities, its press's number, and its time if this run took it."""
+    """A row: an image of the folder, its known quantities, its press's number,
+    and its time if this run took it.
+    """
 
     image: str
     known: Mapping[str, float]
@@ -68,7 +73,9 @@ class LabelRow:
 
 
 class LabelFolder:
-    """The folder; each change is complete on the disk when the call returns, or it raises DeviceError."""
+    """The folder; each change is complete on the disk when the call returns,
+    or it raises DeviceError.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -107,7 +114,9 @@ class LabelFolder:
         return name
 
     def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
-        """Write the table, or delete it if it has no labels, then delete the images of removed rows."""
+        """Write the table, or delete it if it has no labels,
+        then delete the images of removed rows.
+        """
         columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
         cells = [
             [f"{row.known[name]:.4f}" if name in row.known else "" for name in columns]

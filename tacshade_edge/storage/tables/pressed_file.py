@@ -1,4 +1,6 @@
-"""Presses on the simulated sensor from a file that another program, such as a hand or a machine, replaces."""
+"""Presses on the simulated sensor from a file that another program, such as a hand or a machine,
+replaces.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,10 @@ HEADER = ("indenter", "radius_mm", "depth_mm", "x_mm", "y_mm")
 
 
 class PressedFile:
-    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``, a row per touching object:
-    ``ball``, or one of the simulator's objects, with an empty radius. Without a row or a file nothing touches. Writers
-    should replace the file whole (write a temporary file and rename it).
+    """The presses of a CSV file, ``indenter,radius_mm,depth_mm,x_mm,y_mm[,yaw_deg]``, a row per
+    touching object: ``ball``, or one of the simulator's objects, with an empty radius. Without a
+    row or a file nothing touches. Writers should replace the file whole (write a temporary file and
+    rename it).
     """
 
     def __init__(self, path: Path) -> None:
@@ -24,7 +27,10 @@ class PressedFile:
         self._presses: tuple[Press, ...] = ()
 
     def at(self, _index: int) -> tuple[Press, ...]:
-        """The current presses. Raises DecodeError, once for each content that cannot be understood."""
+        """The current presses.
+
+        Raises DecodeError, once for each content that cannot be understood.
+        """
         try:
             status = self._path.stat()
         except OSError:

@@ -1,4 +1,6 @@
-"""PRESSES.csv: known presses, for ``tacshade-edge calibrate``; and presses as a person or a plan states them."""
+"""PRESSES.csv: known presses, for ``tacshade-edge calibrate``;
+and presses as a person or a plan states them.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ class Stated:
 def read_presses(
     path: Path, indenters: Mapping[str, Indenter | float] | None = None
 ) -> tuple[list[KnownPress], tuple[str, ...]]:
-    """Read the table and its images (relative to it), and notes on it for a person; `indenters` are INDENTERS.yaml's.
+    """Read the table and its images (relative to it), and notes on it for a person;
+    `indenters` are INDENTERS.yaml's.
+
     Raises ConfigError for all mistakes (``FILE:LINE: column: found …, expected …``).
     """
     rows, notes = press_rows(path)
@@ -63,14 +67,20 @@ def read_presses(
 
 
 def press_rows(path: Path) -> tuple[Rows, tuple[str, ...]]:
-    """The rows, and notes for a person. Raises ConfigError if the table is absent or not such a table."""
+    """The rows, and notes for a person.
+
+    Raises ConfigError if the table is absent or not such a table.
+    """
     rows, unknown = read_columns(path, HEADER, MORE, "presses")
     names = ", ".join(shown(name or "one without a name", 40) for name in unknown[:10])
     return rows, (f"{path}: ignoring unknown columns: {names}",) if unknown else ()
 
 
 def read_plan(path: Path, names: Collection[str], skin_radius_mm: float) -> tuple[Stated, ...]:
-    """Read a plan of presses from a table like PRESSES.csv; its images are ignored. Raises ConfigError."""
+    """Read a plan of presses from a table like PRESSES.csv; its images are ignored.
+
+    Raises ConfigError.
+    """
     rows, _ = press_rows(path)
     if not rows:
         raise ConfigError(f"{path}: found no press, expected at least one")
@@ -86,8 +96,10 @@ def stated_columns(row: Mapping[str, str]) -> tuple[str, ...]:
 def stated(
     where: str, columns: Sequence[str], names: Collection[str], skin_radius_mm: float
 ) -> Stated:
-    """Check a press's ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of `MORE` or none; `names`
-    are indenters in addition to the ball. Raises ConfigError.
+    """Check a press's ``indenter, radius_mm, depth_mm, x_mm, y_mm`` and either all columns of
+    `MORE` or none; `names` are indenters in addition to the ball.
+
+    Raises ConfigError.
     """
     press = Stated(tuple(columns))
     row, skin = press.row(), f"the skin's radius of {skin_radius_mm:g} mm"
@@ -98,7 +110,8 @@ def stated(
         )
     if not 0 < values["depth_mm"] < skin_radius_mm:
         raise ConfigError(
-            f"{where}: depth_mm: found {row['depth_mm']}, expected a number above 0 and below {skin}"
+            f"{where}: depth_mm: found {row['depth_mm']}, "
+            f"expected a number above 0 and below {skin}"
         )
     if row["x_mm"] and not values["x_mm"] ** 2 + values["y_mm"] ** 2 < skin_radius_mm**2:
         found = f"found {row['x_mm']}, {row['y_mm']} mm"
@@ -112,12 +125,14 @@ def _checked(where: str, row: Mapping[str, str], names: Collection[str]) -> dict
     if name != BALL and name not in names:
         others = ", ".join(sorted(names)) or "none without --indenters"
         raise ConfigError(
-            f"{where}: indenter: found {quoted(name)}, expected {BALL} or one of INDENTERS.yaml: {others}"
+            f"{where}: indenter: found {quoted(name)}, expected {BALL} or one of INDENTERS.yaml: "
+            f"{others}"
         )
     if name != BALL and row["radius_mm"]:
         found = f"found {quoted(row['radius_mm'])}"
         raise ConfigError(
-            f"{where}: radius_mm: {found}, expected nothing, because INDENTERS.yaml states the radius"
+            f"{where}: radius_mm: {found}, expected nothing, "
+            "because INDENTERS.yaml states the radius"
         )
     if (row["x_mm"] == "") != (row["y_mm"] == ""):
         raise ConfigError(f"{where}: x_mm, y_mm: found only one value, expected both or neither")
@@ -146,13 +161,17 @@ def _press(
 def known_press(
     where: str, image: U8, row: Mapping[str, str], indenters: Mapping[str, Indenter | float]
 ) -> KnownPress:
-    """The press of a row and its image. Raises ConfigError (``WHERE: column: found …, expected …``)."""
+    """The press of a row and its image.
+
+    Raises ConfigError (``WHERE: column: found …, expected …``).
+    """
     values = _checked(where, row, indenters)
     indenter = indenters.get(row["indenter"], values.get("radius_mm", 0.0))
     solid = indenter if isinstance(indenter, Indenter) else None
     if solid and "x_mm" not in values:
         raise ConfigError(
-            f"{where}: x_mm, y_mm: found no values, expected both values; only a ball press may omit them"
+            f"{where}: x_mm, y_mm: found no values, expected both values; "
+            "only a ball press may omit them"
         )
     # x and y already give the indenter's place in the image, so the drag does not matter.
     return KnownPress(

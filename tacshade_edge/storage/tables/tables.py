@@ -1,4 +1,6 @@
-"""Reads CSV tables strictly and reports a mistake as ``FILE:LINE: column: found …, expected …``; writes them."""
+"""Reads CSV tables strictly and reports a mistake as ``FILE:LINE: column: found …, expected …``;
+writes them.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ _TEXTS: Final = frozenset(
 )  # columns whose commas are no decimal signs
 
 Rows = list[tuple[str, dict[str, str]]]
-"""Each row's ``FILE:LINE`` and its cells by column, with decimal points; "" where an optional column is missing."""
+"""Each row's ``FILE:LINE`` and its cells by column, with decimal points;
+"" where an optional column is missing.
+"""
 
 
 def read_columns(
@@ -41,10 +45,11 @@ def read_columns(
 ) -> tuple[Rows, tuple[str, ...]]:
     """Read a table as a spreadsheet writes it; returns the rows and the names of unknown columns.
 
-    The columns may be in any order, separated by ``,``, ``;`` or tabs (then a comma in a number is the decimal sign),
-    the text UTF-8 or, with its byte order mark, UTF-16. The first line may be Excel's ``sep=;``. Blanks around cells,
-    empty cells after the last column and rows without any filled cell are skipped. Raises ConfigError if the file is
-    unreadable or not CSV, a column is missing or repeated, or a row has another length; `what` names the rows.
+    The columns may be in any order, separated by ``,``, ``;`` or tabs (then a comma in a number is
+    the decimal sign), the text UTF-8 or, with its byte order mark, UTF-16. The first line may be
+    Excel's ``sep=;``. Blanks around cells, empty cells after the last column and rows without any
+    filled cell are skipped. Raises ConfigError if the file is unreadable or not CSV, a column is
+    missing or repeated, or a row has another length; `what` names the rows.
     """
     text = _text(path, what, rows_max * BYTES_A_ROW_MAX)
     first = begun[0] if (begun := _LINE.match(text)) else ""
@@ -84,12 +89,14 @@ def read_columns(
     if missing := [name for name in required if name not in header]:
         found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
         raise ConfigError(
-            f"{path}:{line0}: found {found}, expected {','.join(required)}; the header lacks {', '.join(missing)}"
+            f"{path}:{line0}: found {found}, expected {','.join(required)}; the header lacks "
+            f"{', '.join(missing)}"
         )
     known = (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
         raise ConfigError(
-            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns with this name, expected one"
+            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns with this name, "
+            "expected one"
         )
     rows: Rows = []
     for line, cells in lines[1:]:

@@ -1,4 +1,6 @@
-"""MCAP, the container that robotics tools share; the package `mcap` (extra ``mcap``) is imported only when needed."""
+"""MCAP, the container that robotics tools share;
+the package `mcap` (extra ``mcap``) is imported only when needed.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def is_mcap(path: Path) -> bool:
 
 
 def mcap_files(path: Path) -> list[Path]:
-    """The file itself, or a folder's files in the order of the numbers in their names; empty if it is not MCAP."""
+    """The file itself, or a folder's files in the order of the numbers in their names;
+    empty if it is not MCAP.
+    """
     if not path.is_dir():
         return [path] if path.name.lower().endswith(_SUFFIXES) else []
     if table_in(path) is not None:
@@ -35,7 +39,10 @@ def mcap_files(path: Path) -> list[Path]:
 
 
 def mcap_frames(path: Path) -> McapFrames:
-    """The frames of an MCAP file or of a folder's MCAP files. Raises ConfigError, also if the extra is missing."""
+    """The frames of an MCAP file or of a folder's MCAP files.
+
+    Raises ConfigError, also if the extra is missing.
+    """
     require_mcap()
     from tacshade_edge.storage.recording.mcap.frames import McapFrames
 

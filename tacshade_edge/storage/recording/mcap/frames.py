@@ -1,4 +1,6 @@
-"""The frames of a recording in MCAP: our own, with times and poses, or the images of Foxglove or ROS 2."""
+"""The frames of a recording in MCAP: our own, with times and poses,
+or the images of Foxglove or ROS 2.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,17 @@ from tacshade_edge.storage.tables.tables import NUMBER_MAX
 from tacshade_edge.types import U8, Pose
 
 OURS: Final = "tacshade"
-"""Key in a channel's metadata with the value `CAMERA` or `FRAME`; the `FRAME` channel holds times and poses."""
+"""Key in a channel's metadata with the value `CAMERA` or `FRAME`;
+the `FRAME` channel holds times and poses.
+"""
 CAMERA, FRAME = "camera", "frame"
 POSE_KEYS: Final = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 _ABOUT_BYTES_MAX: Final = 1 << 16
 _NAME_CHARS_MAX: Final = 255
 _UNUSABLE_MAX: Final = 10_000
-"""Most unusable pictures and damaged places in a pass; each costs a log line, and a small file can have millions."""
+"""Most unusable pictures and damaged places in a pass;
+each costs a log line, and a small file can have millions.
+"""
 Picture = Callable[[], U8]
 
 
@@ -58,13 +64,17 @@ class FrameAbout(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _Image = tuple[str, str, Message, FrameAbout | str | None]
-"""A message of an image: its schema and encoding, and the content of our `FRAME` message before it."""
+"""A message of an image: its schema and encoding,
+and the content of our `FRAME` message before it.
+"""
 
 
 class McapFrames:
-    """The images of a recording, whose files are in order; leaves out those that are not MCAP, if others are. `damage`
-    is of everything but frames, for a person. `length_ns` is from the first to the last message on any topic, 0 if a
-    file does not state it. Raises ConfigError if it does not have exactly one readable topic of images.
+    """The images of a recording, whose files are in order; leaves out those that are not MCAP, if
+    others are. `damage` is of everything but frames, for a person. `length_ns` is from the first to
+    the last message on any topic, 0 if a file does not state it.
+
+    Raises ConfigError if it does not have exactly one readable topic of images.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -92,7 +102,9 @@ class McapFrames:
         self._unusable = 0
 
     def __iter__(self) -> Iterator[tuple[Row, Picture, int]]:
-        """Every frame's row, its picture, which raises DecodeError if it is unusable, and its message's time in ns."""
+        """Every frame's row, its picture, which raises DecodeError if it is unusable,
+        and its message's time in ns.
+        """
         last_ns = -1
         self._unusable = 0
         images = ((path, found) for path in self._paths for found in self._images_in(path))
@@ -173,11 +185,17 @@ class McapFrames:
                 if channel.topic == self.topic
             )
             if expected - images > damaged:
-                found = f"{images} messages on {shown(self.topic)}, expected {expected}, as in the file's index"
+                found = (
+                    f"{images} messages on {shown(self.topic)}, expected {expected}, "
+                    "as in the file's index"
+                )
                 yield DecodeError(f"{shown(path)}: found {found}; the missing messages are lost")
 
     def _row(self, count: int, message: Message, about: FrameAbout | str | None) -> Row:
-        """The row of a message, from our `FRAME` message or else from the message's time. Raises DecodeError."""
+        """The row of a message, from our `FRAME` message or else from the message's time.
+
+        Raises DecodeError.
+        """
         if not self._is_ours:
             if message.log_time > T_NS_MAX:
                 raise DecodeError(f"found the time {message.log_time}, expected at most 2^62 ns")
@@ -186,14 +204,16 @@ class McapFrames:
             raise DecodeError(about)
         if about is None or about.seq != message.sequence:
             raise DecodeError(
-                "found no message with this image's time, expected one on the channel `frame` before the image"
+                "found no message with this image's time, expected one on the channel `frame` "
+                "before the image"
             )
         stated = {key: value for key in POSE_KEYS if (value := getattr(about, key)) is not None}
         if not stated:
             return Row(about.image, about.t_ns, None)
         if len(stated) < len(POSE_KEYS) or about.pose_error_us is None:
             raise DecodeError(
-                f"found only {', '.join(stated)} of a pose, expected all its values and pose_error_us"
+                f"found only {', '.join(stated)} of a pose, "
+                "expected all its values and pose_error_us"
             )
         pose = Pose(about.t_ns, **stated)
         if abs((norm := math.hypot(pose.qw, pose.qx, pose.qy, pose.qz)) - 1) > UNIT_TOLERANCE:
@@ -243,7 +263,10 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
 def _about(payload: bytes) -> FrameAbout | str:
     """The content of a `FRAME` message, or why it is none."""
     if len(payload) > _ABOUT_BYTES_MAX:
-        return f"found {len(payload)} bytes on the channel `frame`, expected at most {_ABOUT_BYTES_MAX}"
+        return (
+            f"found {len(payload)} bytes on the channel `frame`, expected at most "
+            f"{_ABOUT_BYTES_MAX}"
+        )
     try:
         return msgspec.json.decode(payload, type=FrameAbout)
     except (ValueError, RecursionError) as error:
@@ -310,7 +333,8 @@ def image_of(schema: str, encoding: str, payload: bytes) -> U8:
     """The picture in a message, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError."""
     if (schema, encoding) not in DECODERS:
         raise DecodeError(
-            f"found a {quoted(schema)} message encoded as {quoted(encoding)}, expected an image message"
+            f"found a {quoted(schema)} message encoded as {quoted(encoding)}, "
+            "expected an image message"
         )
     try:
         return DECODERS[schema, encoding](payload)

@@ -1,5 +1,7 @@
-"""Reads any MCAP file, truncated or not; skips and reports damage. The package `mcap` parses records; this module finds
-them, also after damage, which the package cannot, and checks sizes before anything is unpacked.
+"""Reads any MCAP file, truncated or not; skips and reports damage.
+
+The package `mcap` parses records; this module finds them, also after damage, which the package
+cannot, and checks sizes before anything is unpacked.
 """
 
 from __future__ import annotations
@@ -76,7 +78,9 @@ _AFTER_DAMAGE: Final = re.compile(rb"(?=[\x06\x09][\s\S]{4}\0{4})")
 
 
 class Place(NamedTuple):
-    """A record of plausible length: its kind, its body's first byte and length, and the next record's first byte."""
+    """A record of plausible length: its kind, its body's first byte and length,
+    and the next record's first byte.
+    """
 
     kind: int
     body: int
@@ -98,8 +102,10 @@ class Summary:
 
 
 class McapFile:
-    """An open MCAP file; call `close` after use. `cut_off`: its writer did not end it; `damage`: of its end, for a
-    person. Raises ConfigError if it is not MCAP.
+    """An open MCAP file; call `close` after use.
+
+    `cut_off`: its writer did not end it; `damage`: of its end, for a person.
+    Raises ConfigError if it is not MCAP.
     """
 
     def __init__(self, path: Path) -> None:
@@ -125,8 +131,9 @@ class McapFile:
         self._stream.close()
 
     def places(self) -> Iterator[Place | DecodeError]:
-        """Every record of the data section, and the damage, after which it continues behind the damaged record, or else
-        at the next chunk or attachment. In a truncated file, the torn record at the end is not damage.
+        """Every record of the data section, and the damage, after which it continues behind the
+        damaged record, or else at the next chunk or attachment. In a truncated file, the torn
+        record at the end is not damage.
         """
         at, damaged = len(_MAGIC), 0
         end = self._size - len(_MAGIC) * self._ends if self.summary is None else self.summary.begin
@@ -159,7 +166,10 @@ class McapFile:
                 yield from self._records_at(place)
             except _DAMAGED as error:
                 what = "chunk" if place.kind == Opcode.CHUNK else "record"
-                found = f"{self._name}: skipping the damaged {what} at byte {place.body - _HEAD.size}: {error}"
+                found = (
+                    f"{self._name}: skipping the damaged {what} at byte {place.body - _HEAD.size}: "
+                    f"{error}"
+                )
                 yield DecodeError(found)
             if self._unpacked > self._unpacked_max:
                 found = f"{self._name}: skipping the data after byte {place.end}: found more than "
@@ -171,8 +181,9 @@ class McapFile:
                 return
 
     def attachment(self, place: Place, bytes_max: dict[str, int]) -> Attachment | None:
-        """The attachment at a place, None if its name is not in `bytes_max`. Raises ValueError with a line for a person
-        if it exceeds its size there, or is damaged.
+        """The attachment at a place, None if its name is not in `bytes_max`.
+
+        Raises ValueError with a line for a person if it exceeds its size there, or is damaged.
         """
         length = int.from_bytes(self._read(place.body + 16, 4), "little")
         name = str(self._read(place.body + 20, min(length, 255)), "utf-8", "replace")
@@ -257,7 +268,9 @@ class McapFile:
         return DecodeError(f"{found}: found no known record of the stated length")
 
     def _after_damage(self, at: int, end: int) -> int | None:
-        """The first byte of the next sound record after a damaged or unknown one; None if there is none."""
+        """The first byte of the next sound record after a damaged or unknown one;
+        None if there is none.
+        """
         if (
             (place := self._place(at)) is not None
             and place.end < end
@@ -277,8 +290,10 @@ class McapFile:
         return None
 
     def _sound(self, at: int) -> Place | None:
-        """The record at `at` if it is as long as its own fields say. After a message, or a record with unknown
-        additional fields, something like a record must follow.
+        """The record at `at` if it is as long as its own fields say.
+
+        After a message, or a record with unknown additional fields,
+        something like a record must follow.
         """
         if (place := self._place(at)) is None or place.kind not in _FIELDS:
             return None
@@ -303,7 +318,9 @@ class McapFile:
         return place is not None and place.kind in _FIELDS
 
     def _place(self, at: int) -> Place | None:
-        """The record at `at`, whose length nothing has checked; None if the file is too short for it."""
+        """The record at `at`, whose length nothing has checked;
+        None if the file is too short for it.
+        """
         head = self._read(at, _HEAD.size)
         if len(head) < _HEAD.size:
             return None
@@ -318,8 +335,11 @@ class McapFile:
 
 
 def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, bytes], list[str]]:
-    """The attachments with the names in `bytes_max`, each up to its size there, the last one of each name; and a line
-    for each damaged or too large one, and for every damaged place in the file. Raises ConfigError if it is not MCAP.
+    """The attachments with the names in `bytes_max`, each up to its size there, the last one of
+    each name; and a line for each damaged or too large one, and for every damaged place in the
+    file.
+
+    Raises ConfigError if it is not MCAP.
     """
     found: dict[str, bytes] = {}
     damage: list[str] = []
@@ -345,7 +365,9 @@ def _record(kind: int, body: bytes | memoryview) -> McapRecord | None:
 
 
 def _unpacked(chunk: object) -> bytes:
-    """A chunk's records, in no more memory than its stated size, which the package does not limit, allows."""
+    """A chunk's records, in no more memory than its stated size, which the package does not limit,
+    allows.
+    """
     assert isinstance(chunk, Chunk)
     size, packed = chunk.uncompressed_size, chunk.data
     if chunk.compression == "zstd":

@@ -1,7 +1,8 @@
 """Writes our channels to an MCAP file, in Foxglove's schemas (protobuf) and flat JSON.
 
-Foxglove's lengths and positions are in metres, times in Unix time, as viewers expect. Values read only as numbers stay
-in mm: a pixel of the height image is h in mm. The frames of reference are ``ID/base``, ``ID/flange`` and ``ID/sensor``.
+Foxglove's lengths and positions are in metres, times in Unix time, as viewers expect. Values read
+only as numbers stay in mm: a pixel of the height image is h in mm. The frames of reference are
+``ID/base``, ``ID/flange`` and ``ID/sensor``.
 """
 
 from __future__ import annotations
@@ -56,8 +57,9 @@ _SCHEMAS: Final[dict[str, dict[str, Any]]] = {
 
 
 class McapWriter:
-    """Writes one MCAP file to a buffered stream, with topics ``/tacshade/ID/NAME``; all times are the capture's Unix
-    time. Schemas and channels are repeated after each chunk, so that a damaged chunk loses only its own messages.
+    """Writes one MCAP file to a buffered stream, with topics ``/tacshade/ID/NAME``; all times are
+    the capture's Unix time. Schemas and channels are repeated after each chunk, so that a damaged
+    chunk loses only its own messages.
     """
 
     def __init__(
@@ -234,7 +236,9 @@ def transform_message(
     sensor_id: str,
     wall_ns: int,
 ) -> bytes:
-    """The message of `child`'s pose in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x, y, z."""
+    """The message of `child`'s pose in `parent`; `a_T_b` is x, y, z in mm and the quaternion w, x,
+    y, z.
+    """
     x, y, z, qw, qx, qy, qz = a_T_b
     one = FrameTransform(
         timestamp=_timestamp(wall_ns),
