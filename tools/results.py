@@ -179,6 +179,10 @@ PAGES = {
 OLDER = (
     "objects",
     "drag",
+    "sigma",
+    "detection",
+    "recognise",
+    "strangers",
     "limits",
     "paper",
     "tradeoff",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,7 @@ from tacshade_edge.studies.evaluate.report import (
     document,
     figures,
     null_figures,
+    table,
 )
 from tacshade_edge.studies.evaluate.score import Row
 from tacshade_edge.studies.evaluate.work import (
@@ -115,7 +117,7 @@ ROW = Row(
     profile="fast", sensor="default", object="ball", image="", depth_mm=3.0, x_mm=0.0, y_mm=0.0, rotation_deg=0.0,
     valid=True, contact=True, saturated=False, true_depth_mm=3.0, found_depth_mm=2.7, depth_error_pct=-10.0, me_mm=0.2,
     sd_pct=92.0, sd_sum_pct=84.0, backward_mm=0.3, iou=0.8, points=100, true_points=120, objects=1, repaired_px=0,
-    degraded="",
+    degraded="", touched=False,
 )  # fmt: skip
 
 
@@ -132,6 +134,25 @@ def test_a_missed_contact_counts_as_a_skin_left_alone() -> None:
     found = figures([replace(ROW, me_mm=0.2, backward_mm=0.4, sd_pct=90.0), missed])
     assert found.missed == 1
     assert (found.me_mm, found.backward_mm, found.sd_pct) == pytest.approx((1.6, 1.7, 45))
+
+
+def test_a_touch_of_unknown_depth_is_counted_on_its_own_and_measured_like_a_missed_one() -> None:
+    missed = replace(
+        ROW, me_mm=math.nan, backward_mm=math.nan, sd_pct=0.0, contact=False, found_depth_mm=0.0,
+        depth_error_pct=-100.0,
+    )  # fmt: skip
+    unknown = replace(missed, touched=True, found_depth_mm=math.nan, depth_error_pct=math.nan)
+    made, lost = figures([ROW, ROW, unknown]), figures([ROW, ROW, missed])
+    assert (made.found, made.touched, made.missed) == (2, 1, 0)
+    assert (lost.found, lost.touched, lost.missed) == (2, 0, 1)
+    for name in ("presses", "me_mm", "backward_mm", "sd_pct", "depth_error_pct"):
+        assert getattr(made, name) == getattr(lost, name)
+    null = replace(NULL, touched=True, found_depth_mm=math.nan)
+    free = null_figures([null, NULL, replace(NULL, contact=True, found_depth_mm=0.4), null])
+    assert (free.phantoms, free.touched, free.deepest_mm) == (1, 2, 0.4)
+    lines = [re.split(r"\s*\|\s*", line)[1:-1] for line in table([ROW, unknown, null]).splitlines()]
+    assert [line[-3:] for line in lines if line[:2] == ["ball", "fast"]] == [["1", "1", "0"]]
+    assert lines[-1] == ["fast", "1", "0", "1", "0.00", "0"]
 
 
 def test_frames_without_contact() -> None:

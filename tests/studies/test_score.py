@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from tacshade_edge.studies.evaluate.score import (
     score_cloud,
 )
 from tacshade_edge.studies.evaluate.work import read_images, reconstructor, score_cases
-from tacshade_edge.types import F32, Bool, Frame, HeightMap, Reconstruction
+from tacshade_edge.types import F32, Bool, Frame, Geometry, HeightMap, Reconstruction
 from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 CLOUDS = hnp.arrays(
@@ -110,6 +110,17 @@ def test_a_missed_contact_and_a_phantom() -> None:
             math.isnan(v)
             for v in (phantom.me_mm, phantom.sd_pct, phantom.iou, phantom.depth_error_pct)
         )
+
+
+def test_a_touch_of_unknown_depth_is_found_but_has_no_depth() -> None:
+    something = truth_of(found(touched=True))
+    unknown = replace(found(touched=False), touched=True)
+    row = score(LABEL, something, unknown)
+    assert (row.contact, row.touched, row.sd_pct, row.iou) == (False, True, 0, 0)
+    assert all(math.isnan(v) for v in (row.me_mm, row.found_depth_mm, row.depth_error_pct))
+    free = score(LABEL, KnownTruth(NOTHING, 0.0, None), unknown)
+    assert (free.contact, free.touched) == (False, True)
+    assert math.isnan(free.found_depth_mm)
 
 
 def on_grid(contact: Bool, row0: float, col0: float, step: float) -> HeightMap:
@@ -242,6 +253,33 @@ def test_points_alone_are_enough(tmp_path: Path) -> None:
     assert lines == []
     assert np.isnan(row.iou)
     assert row.me_mm > 0
+
+
+PAD = Geometry(math.inf, 40.0, 0.0, DISC, 12.0)
+"""A pad whose lens is 40 mm behind it."""
+
+
+@pytest.mark.parametrize("keys", [("points_mm",), ("height_mm", "contact")])
+def test_a_truth_of_a_pad_is_below_its_plane(tmp_path: Path, keys: tuple[str, ...]) -> None:
+    known = truth(points_mm=np.array([[0, 0, -2.0], [1, 0, -1.5]]))
+    np.savez(tmp_path / "t.npz", **{key: known[key] for key in keys})
+    made, _ = read_truth(tmp_path / "t.npz", SIZE, PAD)
+    assert made.depth_max_mm == 2.0
+    assert made.points_mm[:, 2].min() == -2.0
+    # The plate's edge is 20 px from the middle of a circle of 12 mm, seen from 38 mm instead of 40.
+    if "contact" in keys:
+        reach_mm = np.hypot(*made.points_mm[:, :2].T).max()
+        assert reach_mm == pytest.approx(20 / DISC.radius_px * 12 * 38 / 40, abs=0.2)
+
+
+@pytest.mark.parametrize("keys", [("points_mm",), ("points_mm", "height_mm", "contact")])
+def test_a_truth_of_another_form_of_skin_is_refused(tmp_path: Path, keys: tuple[str, ...]) -> None:
+    dome, pad = np.array([[0, 0, 18.0], [1, 0, 18.5]]), np.array([[0, 0, -2.0], [1, 0, -1.5]])
+    for points, geometry in ((dome, PAD), (pad, CALIBRATION.geometry)):
+        known = truth(points_mm=points)
+        np.savez(tmp_path / "t.npz", **{key: known[key] for key in keys})
+        with pytest.raises(DecodeError, match="found a contact whose greatest depth is"):
+            read_truth(tmp_path / "t.npz", SIZE, geometry)
 
 
 @pytest.mark.parametrize(

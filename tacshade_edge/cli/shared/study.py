@@ -92,10 +92,6 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
             "expected one with images and their ground truth (.npz)"
         )
     calibration, paths = calibrations.load(args.calibration), images_in([args.images])
-    if calibration.geometry.skin == "pad":
-        raise ConfigError(
-            f"{args.calibration}: found a pad, expected a dome, which truth is read for"
-        )
     make_folder(args.out)
     mistakes: list[str] = []
     report = Progress()

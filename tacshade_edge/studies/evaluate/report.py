@@ -32,17 +32,21 @@ MEASURES = {
     "depth off %": ("depth_error_pct", ".0f"),
 }
 """Columns of a table: an attribute of `Figures`, and its format."""
+COUNTS = ("found", "touched", "missed")
+"""Columns of numbers of presses, which are all of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
     """Means over presses, NaN if nothing is known; the depth error is the mean absolute one.
 
-    A missed contact (an empty cloud) counts as undeformed skin: SD is 0, and ME and the backward distance are the true
-    depth.
+    Presses are found, `touched` (their depth is unknown) or missed. Where none was found, the cloud is empty and counts
+    as undeformed skin: SD is 0, and ME and the backward distance are the true depth.
     """
 
     presses: int
+    found: int
+    touched: int
     missed: int
     me_mm: float
     backward_mm: float
@@ -54,10 +58,11 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class NullFigures:
-    """Figures of the frames without contact: phantoms, the greatest depth of one, and refused frames."""
+    """Figures of the frames without contact: phantoms, `touched` frames, the greatest depth, and refused frames."""
 
     frames: int
     phantoms: int
+    touched: int
     deepest_mm: float
     refused: int
 
@@ -65,28 +70,34 @@ class NullFigures:
 def figures(rows: Iterable[Row]) -> Figures:
     """Means over the rows with a true contact."""
     some = [r for r in rows if r.true_points]
-    missed = [math.isnan(r.me_mm) for r in some]
+    empty, touched = sum(math.isnan(r.me_mm) for r in some), sum(r.touched for r in some)
+
+    def mean_mm(name: str) -> float:
+        found = [(r, getattr(r, name)) for r in some]
+        return _mean(r.true_depth_mm if math.isnan(mm) else mm for r, mm in found)
+
     return Figures(
         presses=len(some),
-        missed=sum(missed),
-        me_mm=_mean(r.true_depth_mm if m else r.me_mm for r, m in zip(some, missed, strict=True)),
-        backward_mm=_mean(
-            r.true_depth_mm if m else r.backward_mm for r, m in zip(some, missed, strict=True)
-        ),
+        found=len(some) - empty,
+        touched=touched,
+        missed=empty - touched,
+        me_mm=mean_mm("me_mm"),
+        backward_mm=mean_mm("backward_mm"),
         sd_pct=_mean(r.sd_pct for r in some),
         sd_sum_pct=_mean(r.sd_sum_pct for r in some),
         iou=_mean(r.iou for r in some if not math.isnan(r.iou)),
-        depth_error_pct=_mean(abs(r.depth_error_pct) for r in some),
+        depth_error_pct=_mean(100.0 if r.touched else abs(r.depth_error_pct) for r in some),
     )
 
 
 def null_figures(rows: Iterable[Row]) -> NullFigures:
-    """Count phantoms over rows without true contact."""
+    """Count phantoms and touched frames over rows without true contact."""
     some = [r for r in rows if not r.true_points]
     return NullFigures(
         frames=len(some),
         phantoms=sum(r.contact for r in some),
-        deepest_mm=max((r.found_depth_mm for r in some), default=0.0),
+        touched=sum(r.touched for r in some),
+        deepest_mm=max((r.found_depth_mm for r in some if not r.touched), default=0.0),
         refused=sum(not r.valid for r in some),
     )
 
@@ -120,12 +131,13 @@ def _family_table(rows: Sequence[Row]) -> str:
             profile,
             str(of.frames),
             str(of.phantoms),
+            str(of.touched),
             f"{of.deepest_mm:.2f}",
             str(sum(not r.valid for r in some)),
         ]
         for (profile, some), of in zip(profiles.items(), nothing.values(), strict=True)
     ]
-    header = ["method", "frames without contact", "phantoms", "deepest mm", "refused"]
+    header = ["method", "frames without contact", "phantoms", "touched", "deepest mm", "refused"]
     return "\n\n".join([*parts, "Profiles\n\n" + tables.markdown(header, lines)])
 
 
@@ -140,14 +152,14 @@ def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Seq
     for name in (*names, *(["mean"] if len(names) > 1 else [])):
         if name in paper:
             me_mm, sd_pct = paper[name]
-            lines.append([name, PAPER_ROW, f"{me_mm:.3f}", f"{sd_pct:.1f}", "", ""])
+            lines.append([name, PAPER_ROW, f"{me_mm:.3f}", f"{sd_pct:.1f}", *("",) * 4])
         for profile, rows in profiles.items():
             found = figures(r for r in rows if r.object in (names if name == "mean" else (name,)))
             measured = (
                 tables.number(getattr(found, measure), spec) for measure, spec in MEASURES.values()
             )
-            lines.append([name, profile, *measured, f"{found.missed}/{found.presses}"])
-    return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES, "missed"], lines)
+            lines.append([name, profile, *measured, *(str(getattr(found, one)) for one in COUNTS)])
+    return f"{title}\n\n" + tables.markdown(["object", "method", *MEASURES, *COUNTS], lines)
 
 
 def document(rows: Sequence[Row], settings: Mapping[str, Any]) -> dict[str, Any]:

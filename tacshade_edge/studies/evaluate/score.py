@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
+from tacshade_edge.core.geometry.disc import Grid, disc_rays, point_heights, skin_points
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.truth import Truth
 from tacshade_edge.storage.npz import numbers, read_arrays
-from tacshade_edge.types import F32, Bool, Geometry, HeightMap, Reconstruction, frozen
+from tacshade_edge.types import F32, F64, Bool, Geometry, HeightMap, Reconstruction, frozen
 
 NOTHING = np.zeros((0, 3), dtype=np.float32)
 """The points of an untouched skin."""
@@ -151,7 +151,8 @@ class Label:
 class Row:
     """The scores of one profile on one frame; each attribute is a column of evaluation.csv, empty if NaN.
 
-    Without true contact, errors are NaN; for a missed contact, ME and the backward distance are.
+    Without true contact, errors are NaN; where the result has no contact, ME and the backward distance are, and where
+    it is `touched` everything about depth.
     """
 
     profile: str
@@ -178,17 +179,19 @@ class Row:
     objects: int
     repaired_px: int
     degraded: str  # why the reconstruction is invalid or degraded
+    touched: bool  # something touches, but its depth is unknown
 
 
 def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
     """Compare a reconstruction with its frame's ground truth."""
-    touched, nan = len(truth.points_mm) > 0 and truth.depth_max_mm > 0, math.nan
+    pressed, nan = len(truth.points_mm) > 0 and truth.depth_max_mm > 0, math.nan
     cloud = (
         score_cloud(result.cloud.points_mm, truth.points_mm, truth.depth_max_mm)
-        if touched
+        if pressed
         else None
     )
     contact = truth.contact_on(result.height)
+    found_mm = nan if result.touched else result.depth_max_mm
     return Row(
         profile=result.profile,
         **asdict(label),
@@ -196,18 +199,19 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
         contact=result.contact,
         saturated=result.saturated,
         true_depth_mm=truth.depth_max_mm,
-        found_depth_mm=result.depth_max_mm,
-        depth_error_pct=100 * (result.depth_max_mm / truth.depth_max_mm - 1) if touched else nan,
+        found_depth_mm=found_mm,
+        depth_error_pct=100 * (found_mm / truth.depth_max_mm - 1) if pressed else nan,
         me_mm=cloud.me_mm if cloud else nan,
         sd_pct=100 * cloud.sd if cloud else nan,
         sd_sum_pct=100 * cloud.sd_sum if cloud else nan,
         backward_mm=cloud.backward_mm if cloud else nan,
-        iou=contact_iou(result.height.contact, contact) if touched and contact is not None else nan,
+        iou=contact_iou(result.height.contact, contact) if pressed and contact is not None else nan,
         points=len(result.cloud.points_mm),
         true_points=len(truth.points_mm),
         objects=len(result.objects),
         repaired_px=result.repaired_px,
         degraded=text_of(result.reason or result.degraded),
+        touched=result.touched,
     )
 
 
@@ -216,7 +220,7 @@ _BYTES_MAX = 256 << 20
 _DEPTH_MIN_MM, _DEPTH_PART_MAX = (
     0.02,
     0.8,
-)  # less is no contact; a part of the skin's radius, as a file may be in m
+)  # less is no contact; a part of the greatest that a skin can have, as a file may be in m
 
 
 def read_truth(
@@ -268,25 +272,7 @@ def _truth(
         raise DecodeError(
             f"found the keys {shown(', '.join(sorted(content)) or 'none')}; expected {EXPECTED}"
         )
-    deepest = (
-        geometry.skin_radius_mm - float(np.linalg.norm(points, axis=1).min())
-        if len(points)
-        else 0.0
-    )
-    depth_max = _number(
-        content,
-        "depth_max_mm",
-        deepest if height is None else float(np.nanmax(height, initial=0.0)),
-    )
-    most = _DEPTH_PART_MAX * geometry.skin_radius_mm
-    wrong = [
-        depth
-        for depth in (depth_max, max(depth_max, deepest))
-        if not _DEPTH_MIN_MM <= depth <= most
-    ]
-    if len(points) and wrong:
-        expected = f"expected a depth from {_DEPTH_MIN_MM:g} to {most:g} mm"
-        raise DecodeError(f"found a contact whose greatest depth is {wrong[0]:.3g} mm, {expected}")
+    depth_max = _depth_max(content, height, points, geometry)
     shear = numbers(content, "shear_mm", 3, nan=True) if "shear_mm" in content else None
     if shear is not None:
         _check_covers("shear_mm", shear.shape[:2], (row0, col0, step), image_size_px)
@@ -297,6 +283,26 @@ def _truth(
     return KnownTruth(
         points.astype(np.float32), depth_max, contact, row0, col0, step, height, shear
     )
+
+
+def _depth_max(
+    content: Mapping[str, Any], height: F64 | None, points: F64, geometry: Geometry
+) -> float:
+    """The greatest h over the disc. Raises DecodeError if it, or that of the points in contact, cannot be."""
+    deepest = float(point_heights(points, geometry).max()) if len(points) else 0.0
+    depth_max = _number(
+        content,
+        "depth_max_mm",
+        deepest if height is None else float(np.nanmax(height, initial=0.0)),
+    )
+    most = _DEPTH_PART_MAX * geometry.height_max_mm
+    # Points as far outside the skin as they should be inside it are of another form of skin.
+    known = ((depth_max, _DEPTH_MIN_MM), (deepest, -depth_max))
+    wrong = [depth for depth, least in known if not least <= depth <= most]
+    if len(points) and wrong:
+        expected = f"expected a depth from {_DEPTH_MIN_MM:g} to {most:g} mm on this {geometry.skin}"
+        raise DecodeError(f"found a contact whose greatest depth is {wrong[0]:.3g} mm, {expected}")
+    return depth_max
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from support.progress_lines import only_progress, without_progress
 from tacshade_edge.cli import main
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.score import Row
+from tacshade_edge.types import Geometry
 from tools.testbed.painted_sensor import BLACK, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
@@ -106,6 +108,32 @@ def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     summary = json.loads((own / "out" / "evaluation.json").read_text())
     assert summary["settings"]["crc32"] == f"{calibration_file.load(own / 'cal.npz').crc32:08x}"
     assert sorted(p.name for p in (own / "out").iterdir()) == WRITTEN
+
+
+@pytest.fixture
+def pad(own: Path) -> Path:
+    """The same with the calibration of a pad."""
+    painted = painted_calibration()
+    flat = Geometry(math.inf, 40.0, 0.0, painted.geometry.disc, 16.0)
+    calibration_file.save(own / "cal.npz", replace(painted, geometry=flat))
+    return own
+
+
+def test_own_images_of_a_pad(pad: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(of_own(pad, "--profile", "fast", "--json")) == 0
+    found = json.loads(capsys.readouterr().out)["profiles"]["fast"]["all"]
+    assert (found["found"], found["touched"], found["missed"]) == (1, 0, 0)
+    assert 0 < found["me_mm"] < 2.0
+
+
+def test_labelled_images_of_a_pad(pad: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (pad / "LABELS.csv").write_text("image,depth_mm\ncoin.png,2\n")
+    assert (
+        main(of_own(pad, "--labels", str(pad / "LABELS.csv"), "--profile", "fast", "--json")) == 0
+    )
+    (row,) = json.loads(capsys.readouterr().out)["frames"]
+    assert row["contact"]
+    assert row["depth_mm"] > 0
 
 
 def test_invalid_images_are_refused_one_by_one_and_exit_1(
