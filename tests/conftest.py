@@ -1,7 +1,8 @@
-"""Hypothesis, for all tests: no time limit per example (machines are shared), and a failure can be repeated.
+"""Hypothesis, for all tests: no time limit per example (machines are shared),
+and a failure can be repeated.
 
-Where CI is set, the examples are few and the same in every run: one there judges the change, one at the desk looks for
-news.
+Where CI is set, the examples are few and the same in every run:
+one there judges the change, one at the desk looks for news.
 """
 
 import logging
@@ -26,13 +27,17 @@ settings.load_profile("tacshade")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with those that wait longest, so that no worker has them left when the others are done."""
+    """Begin with those that wait longest, so that no worker has them left
+    when the others are done.
+    """
     items.sort(key=lambda item: "service" not in item.path.parts)
 
 
 @pytest.fixture(autouse=True, scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Where the workers of this run leave what they made for each other; one process alone needs none."""
+    """Where the workers of this run leave what they made for each other;
+    one process alone needs none.
+    """
     if "PYTEST_XDIST_WORKER" in os.environ:
         shared.folder = tmp_path_factory.getbasetemp().parent
 

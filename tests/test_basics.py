@@ -61,7 +61,9 @@ def test_threads_allocate_from_one_heap(first: str, more: bool) -> None:
 
 
 def test_every_bit_of_a_need_has_a_name() -> None:
-    """Python 3.11.2 (Debian 12) drops bits without a name from a union: a subscriber to shear and sigma got neither."""
+    """Python 3.11.2 (Debian 12) drops bits without a name from a union:
+    a subscriber to shear and sigma got neither.
+    """
     named = {need.value for need in Need.__members__.values()}
     assert {1 << k for k in range(Need.ALL.value.bit_length())} <= named
 

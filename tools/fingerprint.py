@@ -1,7 +1,8 @@
-"""A fingerprint of what decides a page's figures: networks, golden results, and the programs that measure.
+"""A fingerprint of what decides a page's figures:
+networks, golden results, and the programs that measure.
 
-Of Python files the syntax tree counts, without docstrings: neither formatting nor comments change a fingerprint, and
-every version of Python makes the same.
+Of Python files the syntax tree counts, without docstrings: neither formatting nor comments change a
+fingerprint, and every version of Python makes the same.
 """
 
 from __future__ import annotations
@@ -26,13 +27,17 @@ FOLLOWED = (
     "tacshade_edge/simulator/camera_faults",
     "tacshade_edge/studies/",
 )
-"""A program's imports from here belong to it; what else it imports is pinned by the golden results."""
+"""A program's imports from here belong to it; what else it imports is pinned
+by the golden results.
+"""
 
 
 def fingerprint(
     programs: Iterable[str], folders: Iterable[str] = (), profiles: Iterable[str] = NETWORKS
 ) -> str:
-    """Fingerprint modules with what they import from `FOLLOWED`, whole folders of code, and profiles."""
+    """Fingerprint modules with what they import from `FOLLOWED`, whole folders of code,
+    and profiles.
+    """
     code = imported(programs)
     for folder in folders:
         code |= set((ROOT / folder).rglob("*.py"))

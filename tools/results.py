@@ -3,16 +3,17 @@
 
 ::
 
-    .venv/bin/python -m tools.results            # list the pages that are stale, why, and how long each takes
-    .venv/bin/python -m tools.results drag slip  # run the commands of these pages, and write their tables
+    .venv/bin/python -m tools.results            # list stale pages, why, and how long each takes
+    .venv/bin/python -m tools.results drag slip  # run these pages' commands, write their tables
     .venv/bin/python -m tools.results --mark     # write or remove the lines "Older than the code"
 
-A person writes a page's title and text; this program replaces everything below, from the first line "Made with", by
-what the page's commands print. A table of more than `LONG` rows also goes into a CSV file beside the page.
+A person writes a page's title and text; this program replaces everything below, from the first line
+"Made with", by what the page's commands print. A table of more than `LONG` rows also goes into a
+CSV file beside the page.
 
-A page is stale if its fingerprint (tools/fingerprint.py) is not that of the code: networks, golden results, and the
-page's own programs; for pages of speed, also the code that a frame passes. `make check` fails for a stale page that is
-not in `OLDER`. Pages of speed need an otherwise idle machine.
+A page is stale if its fingerprint (tools/fingerprint.py) is not that of the code: networks, golden
+results, and the page's own programs; for pages of speed, also the code that a frame passes. `make
+check` fails for a stale page that is not in `OLDER`. Pages of speed need an otherwise idle machine.
 """
 
 from __future__ import annotations
@@ -55,8 +56,9 @@ JUDGES = ("tacshade_edge/core/frame_check",)
 class Page:
     """The commands of a page (modules and their arguments) by heading; the first has none.
 
-    `profiles` are those that it shows. `code` names folders that decide its figures beside its own programs and the
-    golden results. `drawn` are pictures that the first command writes into `--out`.
+    `profiles` are those that it shows. `code` names folders that decide its figures beside its own
+    programs and the golden results. `drawn` are pictures that the first command writes into
+    `--out`.
     """
 
     commands: dict[str, str]
@@ -76,7 +78,9 @@ PAGES = {
             "": f"{EVALUATE} {FIVE} --profile paper fast balanced accurate",
             "Eight other objects": f"{EVALUATE} bar,cone,cross,edge,plate,prism,ring,two_balls",
             "One reference, no press": f"{EVALUATE} {FIVE} --presses 0 --references 1",
-            "The network's outline and two means": f"tools.studies.outline --final --objects {FIVE}",
+            "The network's outline and two means": (
+                f"tools.studies.outline --final --objects {FIVE}"
+            ),
             "Objects that touch each other": "tools.studies.touching --final",
         },
         profiles=("paper", *NETWORKS),
@@ -117,10 +121,14 @@ PAGES = {
     "real-frames": Page(
         {
             "": f"{REAL} raw out/real/aerial_tactile_servoing",
-            "Whole pictures, fitted to the reference": f"{REAL} raw out/real/aerial_tactile_servoing --fit",
+            "Whole pictures, fitted to the reference": (
+                f"{REAL} raw out/real/aerial_tactile_servoing --fit"
+            ),
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
-            "Raw pictures of tilted and sheared plates": f"{REAL} tilted out/real/tactile-manibot --frames 6425",
+            "Raw pictures of tilted and sheared plates": (
+                f"{REAL} tilted out/real/tactile-manibot --frames 6425"
+            ),
             "Taps of a tilted plane, 127 pins": f"{REAL} pins out/real/Tac-VGNN",
         },
         code=(*JUDGES, "tacshade_edge/fitting"),
@@ -146,29 +154,39 @@ PAGES = {
         {
             "": f"{FIT} 9028/none,other:9028/none,9029/none,other:9029/none",
             "With 40 presses": f"{FIT} 9028,other:9028,9029,other:9029",
-            "What the fit knows": f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep",
+            "What the fit knows": (
+                f"{FIT} 9027/drawing,other:9027/drawing,9027/exact,9027/slow,9027/steep"
+            ),
         },
     ),
     "strangers": Page(
         {
             "": f"{STRANGERS} --families third --range final --sensors 2 --ways none,touches",
-            "A layered skin": f"{STRANGERS} --families layered --range final --sensors 2 --ways none",
+            "A layered skin": (
+                f"{STRANGERS} --families layered --range final --sensors 2 --ways none"
+            ),
             "An oblate skin": f"{STRANGERS} --families oblate --sensors 4 --ways=",
-            "Do touches rank maps?": "tools.studies.strangers.explained --states out/strangers --sensors 1",
+            "Do touches rank maps?": (
+                "tools.studies.strangers.explained --states out/strangers --sensors 1"
+            ),
         },
     ),
     "third-family": Page(
         {
             "": f"{THIRD} working --sensors 6 --ways 2 --states out/third",
             "Final range": f"{THIRD} final --sensors 6 --ways 2 --states out/third",
-            "Final range, 40 presses": f"{THIRD} final --sensors 6 --ways 2 --states out/third --presses 40",
+            "Final range, 40 presses": (
+                f"{THIRD} final --sensors 6 --ways 2 --states out/third --presses 40"
+            ),
         },
     ),
     "touch": Page(
         {
             "": "tools.studies.touch force out/real/tactile-manibot --profile accurate",
-            "Thresholded frames of another robot": "tools.studies.touch plates out/real/tactile_data_shear"
-            " --profile accurate --labels 4000 400 100",
+            "Thresholded frames of another robot": (
+                "tools.studies.touch plates out/real/tactile_data_shear --profile accurate "
+                "--labels 4000 400 100"
+            ),
         },
         code=("tacshade_edge/core/touch",),
         drawn=("touch.png",),
@@ -197,7 +215,10 @@ OLDER = (
     "arm",
     "faults",
 )
-"""Pages that could not be made again with the code, and say so at their top. The list only shrinks."""
+"""Pages that could not be made again with the code, and say so at their top.
+
+The list only shrinks.
+"""
 FINGERPRINT = re.compile(r", code ([0-9a-f]+(?:-[0-9a-f]+)+)")
 MARK = re.compile(r"^> \*\*Older than the code\.\*\* .*\n\n", re.MULTILINE)
 
@@ -229,7 +250,9 @@ def git(*words: str) -> str:
 
 
 def made_with(command: str, code: str, seconds: float, other: float) -> str:
-    """Say how figures were made: by which command, commit and machine, how long, beside how much other work."""
+    """Say how figures were made: by which command, commit and machine, how long,
+    beside how much other work.
+    """
     files = ("--", ".", ":!docs", ":!*.md")
     commit = git("log", "-1", "--format=%h of %cs", *files)
     edited = " with uncommitted changes" if git("status", "--porcelain", *files) else ""
@@ -242,7 +265,9 @@ def made_with(command: str, code: str, seconds: float, other: float) -> str:
 
 
 def worked_s() -> float:
-    """Read the processor seconds of the whole machine, less those of this process's finished children."""
+    """Read the processor seconds of the whole machine,
+    less those of this process's finished children.
+    """
     user, nice, system, _idle, _wait, irq, softirq, *_ = map(
         int, Path("/proc/stat").read_text().split()[1:9]
     )
@@ -255,7 +280,9 @@ def worked_s() -> float:
 
 
 def write(name: str, page: Page) -> None:
-    """Run a page's commands and write the page; exit if a command fails or the machine is not idle."""
+    """Run a page's commands and write the page; exit if a command fails
+    or the machine is not idle.
+    """
     file, code = FOLDER / f"{name}.md", page.fingerprint()
     written = MARK.sub("", file.read_text(encoding="utf-8"))
     parts = [re.split(r"^(?:Made with|## )", written, maxsplit=1, flags=re.MULTILINE)[0].strip()]
@@ -287,7 +314,9 @@ def write(name: str, page: Page) -> None:
 
 
 def write_tables(name: str, tables: list[str]) -> list[str]:
-    """Write long tables beside the page, in place of earlier ones, and return the line that links to them."""
+    """Write long tables beside the page, in place of earlier ones,
+    and return the line that links to them.
+    """
     for old in FOLDER.glob(f"{name}-[0-9].csv"):
         old.unlink()
     links = []

@@ -1,12 +1,17 @@
-"""Fit the rigid motion of an object while the same patches of skin hold it, by weighted least squares.
+"""Fit the rigid motion of an object while the same patches of skin hold it,
+by weighted least squares.
 
-Skin that sticks moves with the object. Its finger sees two components of that motion as shear, at right angles to the
-finger's axis z, and one as depth, along the patch's normal n. With d the motion of the object's point at the patch,
+Skin that sticks moves with the object. Its finger sees two components of that motion as shear, at
+right angles to the finger's axis z, and one as depth, along the patch's normal n. With d the motion
+of the object's point at the patch,
 
-    (1 - z zᵀ) d = shear - shear_0          n · d = -(depth - depth_0)          a · ω = twist - twist_0
+    (1 - z zᵀ) d = shear - shear_0
+    n · d = -(depth - depth_0)
+    a · ω = twist - twist_0
 
-where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points in a plane of normal n. Between
-two instants n is the mean of both, which is exact for a plane and for a ball on a ball.
+where a = (z + n / (n · z)) / 2, since twist is the rotation, seen along z, of points in a plane of
+normal n. Between two instants n is the mean of both, which is exact for a plane and for a ball on a
+ball.
 """
 
 from __future__ import annotations
@@ -33,7 +38,9 @@ DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = (
 )  # of depth; grows over the first 1.5 mm
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
-"""A direction is unobserved if its standard deviation would exceed this after each patch moved by `NOMINAL_MM`."""
+"""A direction is unobserved if its standard deviation would exceed this after each patch moved
+by `NOMINAL_MM`.
+"""
 NOMINAL_MM: Final = 2.0
 UNKNOWN_SD_MM: Final = 50.0  # standard deviation reported for unobserved directions
 _STEPS, _CONVERGED_MM = 5, 0.02  # its square over the lever remains as error
@@ -43,8 +50,9 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """One contact of one finger; vectors along the hand's axes: mean place, unit normal into the object, the finger's z
-    axis, mean shear at right angles to it, greatest h; twist about it, None if the contact is too small.
+    """One contact of one finger; vectors along the hand's axes: mean place, unit normal into the
+    object, the finger's z axis, mean shear at right angles to it, greatest h; twist about it, None
+    if the contact is too small.
     """
 
     place_mm: Triple
@@ -78,8 +86,9 @@ class _Patches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Link:
-    """The beginning of a motion: its patches, their mean place, and orthonormal directions (6, k), (6, 6 - k) of a
-    small motion about it: three components of translation, three of rotation times `LEVER_MM`.
+    """The beginning of a motion: its patches, their mean place, and orthonormal directions (6, k),
+    (6, 6 - k) of a small motion about it: three components of translation, three of rotation times
+    `LEVER_MM`.
     """
 
     start: _Patches
@@ -90,8 +99,9 @@ class _Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Motion:
-    """The motion since a link's beginning, with the translation of its middle and the covariance (6, 6), mm and rad, of
-    a small motion after it about the moved middle, without unobserved directions.
+    """The motion since a link's beginning, with the translation of its middle and the covariance
+    (6, 6), mm and rad, of a small motion after it about the moved middle, without unobserved
+    directions.
     """
 
     rotation: F64 = field(default_factory=lambda: np.eye(3))
@@ -118,7 +128,9 @@ def _begun(start: _Patches) -> _Link:
 
 
 def _solved(link: _Link, now: _Patches, guess: _Motion) -> _Motion:
-    """Fit the motion to the same patches now, in the same order, by Gauss-Newton on SE(3) from a first guess."""
+    """Fit the motion to the same patches now, in the same order,
+    by Gauss-Newton on SE(3) from a first guess.
+    """
     directions = link.observed
     if not directions.shape[1]:
         return guess
@@ -128,7 +140,8 @@ def _solved(link: _Link, now: _Patches, guess: _Motion) -> _Motion:
     steep = np.maximum((normal * now.axis).sum(axis=1), _STEEPEST)
     along_mm = -(sunk_mm + (normal * shear_mm).sum(axis=1)) / steep
     moved_mm = shear_mm + along_mm[:, None] * now.axis
-    # Place at the beginning of the material that touches now, because a rolling contact moves over the object.
+    # Place at the beginning of the material that touches now,
+    # because a rolling contact moves over the object.
     was_mm = now.place_mm - moved_mm - link.middle_mm
     weights = _weights(now, normal, np.sqrt((moved_mm**2).sum(axis=1)))
     twisted_rad = now.twist_rad - start.twist_rad
@@ -173,13 +186,17 @@ def _weights(patches: _Patches, normal: F64, far_mm: F64) -> F64:
 
 
 def _twist_axes(patches: _Patches, normal: F64) -> F64:
-    """The change of each twist, in its standard deviations, with a rotation times the lever: (n, 3)."""
+    """The change of each twist, in its standard deviations, with a rotation times the lever:
+    (n, 3).
+    """
     steep = np.maximum((normal * patches.axis).sum(axis=1), _STEEPEST)
     return np.asarray((patches.axis + normal / steep[:, None]) * (0.5 / (LEVER_MM * TWIST_SD_RAD)))
 
 
 def _jacobian(arms_mm: F64) -> F64:
-    """Jacobian of points, given relative to the middle, by a small motion about the middle: (n, 3, 6)."""
+    """Jacobian of points, given relative to the middle, by a small motion about the middle:
+    (n, 3, 6).
+    """
     rows = np.zeros((len(arms_mm), 3, 6))
     rows[:, 0, 0] = rows[:, 1, 1] = rows[:, 2, 2] = 1.0
     x, y, z = (arms_mm / LEVER_MM).T
@@ -193,20 +210,22 @@ UNSEEN_MM_S: Final = (
     10.0  # growth of the deviation of an unobserved direction that a link passes to the next
 )
 REST_SHARE: Final = 0.1
-"""Part of its covariance that a link without motion passes to the next: both see the error of the instant between them
-with opposite signs, so only the difference of their weights remains."""
+"""Part of its covariance that a link without motion passes to the next: both see the error of the
+instant between them with opposite signs, so only the difference of their weights remains.
+"""
 RECENTRED_MM: Final = (
     0.1  # the reported point is amid the holding patches, if that changes its motion by less
 )
-GAIN_SD: Final = 0.2  # relative error common to all fingers' shear: skins of one make follow an object by the same part
+# Relative error common to all fingers' shear: skins of one make follow an object by the same part.
+GAIN_SD: Final = 0.2
 FARTHEST_LINE_MM: Final = 200.0  # a rotation about a line farther away counts as a translation
 _SCALE = np.array([1.0] * 3 + [LEVER_MM] * 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Unobserved:
-    """A motion that the patches do not show: a rotation about a line through a point along a unit vector, or a
-    translation (no point).
+    """A motion that the patches do not show: a rotation about a line through a point along a unit
+    vector, or a translation (no point).
     """
 
     axis: Triple
@@ -215,9 +234,9 @@ class Unobserved:
 
 @frozen
 class ObjectMotion:
-    """A point of the object at p in the hand's frame at the grasp is now at R (p - about) + about + translation, with R
-    of a rotation vector; the covariance (6, 6) is of the translation and a small rotation after R. Unobserved motions
-    have a large deviation there, and are 0 here.
+    """A point of the object at p in the hand's frame at the grasp is now at R (p - about) + about +
+    translation, with R of a rotation vector; the covariance (6, 6) is of the translation and a
+    small rotation after R. Unobserved motions have a large deviation there, and are 0 here.
     """
 
     since_ns: int
@@ -235,7 +254,8 @@ class _State:
     since_ns: int
     about_mm: F64
     base: Rigid
-    spread: F64  # covariance of the base, of a small motion after it about the hand's origin, in mm and rad
+    # Covariance of the base, of a small motion after it about the hand's origin, in mm and rad.
+    spread: F64
     link: _Link
     began_ns: int
     unobserved: tuple[Unobserved, ...]
@@ -249,16 +269,20 @@ class _State:
 
 
 class ObjectTracker:
-    """Tracks the object that a hand holds, from the skin that sticks to it. While the same patches stick, each fit uses
-    the change since that link's beginning, so that nothing accumulates at rest. When a patch joins, leaves or begins to
-    slip, the motion so far is kept, and the next link begins with the patches that then stick.
+    """Tracks the object that a hand holds, from the skin that sticks to it.
+
+    While the same patches stick, each fit uses the change since that link's beginning, so that
+    nothing accumulates at rest. When a patch joins, leaves or begins to slip, the motion so far is
+    kept, and the next link begins with the patches that then stick.
     """
 
     def __init__(self) -> None:
         self._state: _State | None = None
 
     def step(self, t_ns: int, patches: Mapping[str, Patch]) -> ObjectMotion | None:
-        """Take all patches at a time, by a key that each keeps while it touches; return None if nothing touches."""
+        """Take all patches at a time, by a key that each keeps while it touches;
+        return None if nothing touches.
+        """
         if not patches:
             self._state = None
             return None
@@ -327,7 +351,9 @@ def _spread(state: _State, unseen_mm: float, share: float) -> F64:
 
 
 def _moved_to(place_mm: F64) -> F64:
-    """The matrix (6, 6) that converts a small motion about the origin to one about another place."""
+    """The matrix (6, 6) that converts a small motion about the origin
+    to one about another place.
+    """
     x, y, z = place_mm.tolist()
     change = np.eye(6)
     change[:3, 3:] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
@@ -347,7 +373,9 @@ def _unobserved(link: _Link, spread: F64) -> tuple[Unobserved, ...]:
 
 
 def _line(direction: F64, middle_mm: F64) -> Unobserved:
-    """The line of a small motion about the middle: resting patches lie on it, so it is hardly a screw."""
+    """The line of a small motion about the middle:
+    resting patches lie on it, so it is hardly a screw.
+    """
     translation_mm, rotation = direction[:3], direction[3:] / LEVER_MM
     size = float(np.linalg.norm(rotation))
     far_mm, along_mm = float(np.linalg.norm(translation_mm)), abs(float(translation_mm @ rotation))

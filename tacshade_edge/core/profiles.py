@@ -13,12 +13,15 @@ two means of the heights (section V-A)."""
 NETWORK: Final[Outline] = "network"
 KMEANS: Final[Outline] = "kmeans"
 
-AUTO = "auto"  # in place of a profile: the daemon switches between those of `LADDER` by a latency budget
+# In place of a profile: the daemon switches between those of `LADDER` by a latency budget.
+AUTO = "auto"
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """The settings behind a name: the key of ``core.depth.SOLVERS`` and the name of its network, if it has one."""
+    """The settings behind a name: the key of ``core.depth.SOLVERS`` and the name of its network,
+    if it has one.
+    """
 
     name: str
     solver: str

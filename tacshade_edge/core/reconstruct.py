@@ -78,10 +78,10 @@ class Reconstructor:
     """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except
     that one with the untouched skin of an earlier frame gets that frame's result, and that what may
     be a contact's dent is no touch for a few seconds. `touch` is the profile's model, or the reason
-    why it cannot be used; a list collects the features of each requested touch for learning. A model
-    may see less change than the gate requires of a contact. `grid` and `rays` are those of every
-    height map, `changed_part` is the part of the picture that changed in the latest frame; `namer`
-    names the objects, if any were taught.
+    why it cannot be used; a list collects the features of each requested touch for learning. A
+    model may see less change than the gate requires of a contact. `grid` and `rays` are those of
+    every height map, `changed_part` is the part of the picture that changed in the latest frame;
+    `namer` names the objects, if any were taught.
     """
 
     def __init__(
@@ -103,7 +103,8 @@ class Reconstructor:
         )
         self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
         self._gate = ContactGate(seen)
-        # Two means find an upper cluster in any map, so the gate decides whether there is a contact.
+        # Two means find an upper cluster in any map,
+        # so the gate decides whether there is a contact.
         judges_contact = network is not None and profile.outline == NETWORK
         self.gate_part = self._gate.least_part if judges_contact else self._gate.plain_part
         self._solver = SOLVERS[profile.solver](self._preprocessor, network)
@@ -162,8 +163,10 @@ class Reconstructor:
     def step(
         self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL
     ) -> Reconstruction | None:
-        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end. With the need ``CONTACT``,
-        a frame in contact returns None; without ``SHEAR``, ``SIGMA`` or ``TOUCH``, it has no such value.
+        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end.
+
+        With the need ``CONTACT``, a frame in contact returns None; without ``SHEAR``, ``SIGMA`` or
+        ``TOUCH``, it has no such value.
         """
         grey = self._seen.grey(frame.image, self._grey_space)
         reason = size_reason(frame.image, self._shape)
@@ -277,7 +280,9 @@ class Reconstructor:
         return whole
 
     def measured(self, image: U8) -> tuple[Measured, ...]:
-        """What the judges measure of an image that has the calibrated size; nothing after the first that refuses."""
+        """What the judges measure of an image that has the calibrated size;
+        nothing after the first that refuses.
+        """
         grey = self._seen.grey(image)
         made = self._judges.measured(grey)
         if first_reason(made) is None:
@@ -372,7 +377,9 @@ class Reconstructor:
         return made
 
     def _empty(self, frame: Frame, **found: Any) -> Reconstruction:
-        """The reconstruction without contact or of an invalid frame, exactly 0 inside the disc, but for `found`."""
+        """The reconstruction without contact or of an invalid frame, exactly 0 inside the disc,
+        but for `found`.
+        """
         valid = found.get("reason") is None
         return replace(
             self._nothing,
@@ -394,6 +401,8 @@ def step_and_track(
     mark: Mark = no_mark,
     need: Need = Need.ALL,
 ) -> Reconstruction | None:
-    """Reconstruct a frame with `Reconstructor.step`, and track its objects unless `tracker` is None."""
+    """Reconstruct a frame with `Reconstructor.step`,
+    and track its objects unless `tracker` is None.
+    """
     made = reconstructor.step(frame, mark, need)
     return made if tracker is None or made is None or not made.valid else follow(tracker, made)

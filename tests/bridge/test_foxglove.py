@@ -1,4 +1,6 @@
-"""The bridge as a viewer meets it: another's WebSocket client, Foxglove's published schemas, hostile sensors."""
+"""The bridge as a viewer meets it: another's WebSocket client, Foxglove's published schemas,
+hostile sensors.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ NUMBERS = ("0", "-1", "1e-300", "1e308", "1e999", "1" + "0" * 400, "null", '"x"'
 
 
 class Bridge:
-    """A bridge that the test feeds with a broker's messages; `asked` are the topics that it subscribes to."""
+    """A bridge that the test feeds with a broker's messages;
+    `asked` are the topics that it subscribes to.
+    """
 
     def __init__(self) -> None:
         self.asked: set[str] = set()
@@ -67,7 +71,9 @@ def bridge() -> Iterator[Bridge]:
 
 
 class Viewer:
-    """Foxglove's WebSocket protocol as its specification has it; decodes with the schemas that Foxglove publishes."""
+    """Foxglove's WebSocket protocol as its specification has it;
+    decodes with the schemas that Foxglove publishes.
+    """
 
     def __init__(self, socket: Any) -> None:
         self._socket = socket

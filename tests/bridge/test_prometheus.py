@@ -1,4 +1,6 @@
-"""The metrics as Prometheus reads them: its own parser, a real broker, a sensor that falls silent."""
+"""The metrics as Prometheus reads them: its own parser, a real broker,
+a sensor that falls silent.
+"""
 
 from __future__ import annotations
 

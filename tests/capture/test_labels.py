@@ -35,7 +35,9 @@ def pressed(t_s: F64, at_s: float) -> F64:
 def taken(
     count: int, seed: int, late_s: float, scatter_s: float = 0.0
 ) -> tuple[list[Press], F64, F64]:
-    """Pictures at 30/s whose change is no straight line of force; a scale at 10/s, rounded to 10 mN."""
+    """Pictures at 30/s whose change is no straight line of force;
+    a scale at 10/s, rounded to 10 mN.
+    """
     rng = np.random.default_rng(seed)
     presses = []
     scale_s = np.arange(0, 5.0 * count + 2, 0.1) + rng.uniform(0, 0.01)

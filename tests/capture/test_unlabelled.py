@@ -1,4 +1,6 @@
-"""The untouched sensor and unlabelled touches, as a person at a terminal and a scripted camera take them."""
+"""The untouched sensor and unlabelled touches, as a person at a terminal
+and a scripted camera take them.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ class Bench:
         self._page = Page()
         self.said = (folder / "said").open("w+")
         terminal = Terminal(self._line, self.said)
-        self.live = Live(self, terminal, self._page, Disc(59.5, 79.5, 50.0), rest_grey=1.0)  # type: ignore[arg-type]
+        disc = Disc(59.5, 79.5, 50.0)
+        self.live = Live(self, terminal, self._page, disc, rest_grey=1.0)  # type: ignore[arg-type]
         self.made = Unlabelled(self.folder, self.live, terminal, lambda _: self.judgement)
 
     def read(self) -> Frame:

@@ -1,4 +1,6 @@
-"""What the journal's socket gets from a process that logs by python3-systemd, in a mount namespace of its own."""
+"""What the journal's socket gets from a process that logs by python3-systemd,
+in a mount namespace of its own.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ print(json.dumps(said))
 
 
 def fields(message: bytes) -> dict[str, str]:
-    """The fields of one entry in the journal's native protocol, whose long form has the value's size."""
+    """The fields of one entry in the journal's native protocol,
+    whose long form has the value's size.
+    """
     found = {}
     while message:
         line, _, message = message.partition(b"\n")

@@ -179,7 +179,8 @@ def test_a_path_may_begin_at_home(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [path("~/map"), path("b~.png")] == [Path("/home/somebody/map"), Path("b~.png")]
 
 
-# A library that works without the interpreter's lock and takes it again in a C++ destructor, for ever.
+# A library that works without the interpreter's lock and takes it again in a C++ destructor,
+# for ever.
 IN_A_LIBRARY = """
 import cv2, numpy
 def blur(*_):
@@ -226,9 +227,12 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stop_before_the_daemon_is_there_is_a_stop(number: signal.Signals) -> None:
     code = (
-        "import os, sys\nfrom tacshade_edge.__main__ import entry\nassert 'argparse' not in sys.modules\n"
+        "import os, sys\n"
+        "from tacshade_edge.__main__ import entry\n"
+        "assert 'argparse' not in sys.modules\n"
         "from tacshade_edge.cli import entry as process\n"
-        f"process.main = lambda: os.kill(os.getpid(), {number:d}) or 1\nentry()"
+        f"process.main = lambda: os.kill(os.getpid(), {number:d}) or 1\n"
+        "entry()"
     )
     assert python(code, "run").returncode == 0
     assert python(code, "replay").returncode in (-number, 1), (
@@ -253,7 +257,8 @@ def test_too_low_a_limit_is_reported_before_a_library_crashes(
     code = f"import resource\nresource.setrlimit(resource.{limit}, ({value}, {value}))\n"
     if python(f"{code}print(resource.getrlimit(resource.{limit})[0])").stdout != f"{value}\n":
         pytest.skip(
-            "this limit is not kept here: QEMU's emulation of a user space has none of the address space"
+            "this limit is not kept here: QEMU's emulation of a user space has none of the "
+            "address space"
         )
     done = python(
         f"{code}from tacshade_edge.__main__ import entry\nentry()", "run", "--config", "/none"
@@ -265,7 +270,8 @@ def test_too_low_a_limit_is_reported_before_a_library_crashes(
 pytest.importorskip("shtab", reason="shtab is not installed")
 
 ASK = """
-source {script}; COMP_WORDS=({typed}); COMP_CWORD={last}; COMP_LINE='{typed}'; COMP_POINT=${{#COMP_LINE}}
+source {script}
+COMP_WORDS=({typed}); COMP_CWORD={last}; COMP_LINE='{typed}'; COMP_POINT=${{#COMP_LINE}}
 $(complete -p tacshade-edge | sed "s/.*-F \\([^ ]*\\) .*/\\1/")
 printf "%s\\n" "${{COMPREPLY[@]}}"
 """

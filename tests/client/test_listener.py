@@ -1,4 +1,6 @@
-"""`listen` through a real broker that goes away, comes back and refuses, and what waits for a slow reader."""
+"""`listen` through a real broker that goes away, comes back and refuses,
+and what waits for a slow reader.
+"""
 
 from __future__ import annotations
 

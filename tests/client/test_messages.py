@@ -213,7 +213,10 @@ def test_points_are_those_of_the_daemon() -> None:
 @pytest.mark.slow
 def test_it_needs_nothing_of_the_daemon() -> None:
     """Its links lead to the daemon's files, which import nothing that a client does not have."""
-    code = "import sys, tacshade_client; print(sorted({name.partition('.')[0] for name in sys.modules}))"
+    code = (
+        "import sys, tacshade_client; print(sorted({name.partition('.')[0] for name in "
+        "sys.modules}))"
+    )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT / "client", capture_output=True, text=True, check=True)
     loaded: list[Any] = json.loads(done.stdout.replace("'", '"'))

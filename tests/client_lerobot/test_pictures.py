@@ -1,4 +1,6 @@
-"""Height and shear as colours and back, a sensor's messages put together to pictures, and mistakes in settings."""
+"""Height and shear as colours and back, a sensor's messages put together to pictures,
+and mistakes in settings.
+"""
 
 from __future__ import annotations
 

@@ -61,7 +61,9 @@ def test_bad_input_is_repaired_and_counted(solver: str, bad: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", [PROFILES["paper"], PAPER_WITHOUT_EQ_11])
 def test_a_press_of_known_depth_is_as_deep_with_its_own_ratio(profile: Profile) -> None:
-    """α of one press: "the ratio between the ground-truth contact depth and the maximum estimated depth"."""
+    """α of one press: "the ratio between the ground-truth contact depth
+    and the maximum estimated depth".
+    """
     press = pressed("ball", 3.0)
     depth_mm = float(np.nanmax(press.truth().height_mm))
     made = Reconstructor(with_own_ratio(calibrated(HALF, 0), depth_mm), profile)

@@ -1,4 +1,6 @@
-"""Every object once, by every profile, against tests/golden/profiles (support/golden_profiles.py)."""
+"""Every object once, by every profile, against tests/golden/profiles
+(support/golden_profiles.py).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ import pytest
 from support.golden_profiles import GOLDEN, figures
 
 TOLERANCE = 0.03
-"""For another machine's rounding, in mm or grey levels; twice what one without AVX-512 took from the golden replay."""
+"""For another machine's rounding, in mm or grey levels;
+twice what one without AVX-512 took from the golden replay.
+"""
 CELLS, CELLS_RATIO = 4, 0.03
 
 

@@ -1,4 +1,6 @@
-"""Eq. 11 in float32 against the published iteration in complex128, and that against ref. [20], cell by cell."""
+"""Eq. 11 in float32 against the published iteration in complex128, and that against ref.
+[20], cell by cell.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from tools.testbed.hybrid_sfs_oracle import hybrid_sfs, unit_height
 BOUND = 0.02 / 3
 """Of a greatest height of 1: 0.02 mm of 3 mm."""
 DETERMINED = BOUND / 8
-"""If the published result changes by more with the rounding of g_hn, an image has no result to be compared with."""
+"""If the published result changes by more with the rounding of g_hn,
+an image has no result to be compared with.
+"""
 ROUNDINGS = 8
 HALF_UNIT = 2.0**-24
 """Relative; g_hn is known to a half of float32's last digit."""
@@ -91,7 +95,9 @@ def test_random_images_are_those_of_complex128(reach: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXTREME_MAPS)
 def test_an_extreme_is_that_of_complex128_where_that_is_determined(name: str) -> None:
-    """Equal rows, columns or diagonals give slopes of exactly 0, so the last digit of g_hn decides."""
+    """Equal rows, columns or diagonals give slopes of exactly 0,
+    so the last digit of g_hn decides.
+    """
     inside = np.ones((48, 50), bool)
     g0 = EXTREME_MAPS["ramp, axis 1"](48, 50) / 2 + 128
     g_hn = shape_grey(EXTREME_MAPS[name](48, 50), g0.astype(np.float32), inside)
@@ -124,7 +130,9 @@ def test_one_image_leaves_no_trace_in_the_next() -> None:
 
 
 def test_the_iteration_is_the_literal_one() -> None:
-    """Eq. 11 as ref. [20] codes it, written out element by element with Python's complex numbers."""
+    """Eq. 11 as ref. [20] codes it, written out element by element
+    with Python's complex numbers.
+    """
     image = np.random.default_rng(4).uniform(0.2, 1, (5, 6))
     rows, cols = image.shape
     p_image, q_image = np.zeros((rows, cols)), np.zeros((rows, cols))

@@ -68,7 +68,9 @@ def test_a_seen_point_of_a_pad_comes_back(
 def test_flatter_and_flatter_domes_become_a_pad(
     lens_mm: float | None, radius_mm: float, r_mm: float, seed: int
 ) -> None:
-    """Points, heights, areas and what the networks are given, at radii up to those that SENSOR.yaml accepts."""
+    """Points, heights, areas and what the networks are given,
+    at radii up to those that SENSOR.yaml accepts.
+    """
     flat = pad(lens_mm, radius_mm)
     r_mm = max(r_mm, 10 * radius_mm)
     dome = dome_like(flat, r_mm)

@@ -45,7 +45,8 @@ from tacshade_edge.types import F32, F64, U8, Frame, Need, Reconstruction, RestL
 from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import released
 
-# NumPy's arrays are seen, and OpenCV's where it returns them; what OpenCV frees within a call is not.
+# NumPy's arrays are seen, and OpenCV's where it returns them;
+# what OpenCV frees within a call is not.
 IMAGE_BYTES = FULL.image_height_px * FULL.image_width_px
 
 
@@ -163,7 +164,9 @@ def depth_errors(
 
 @pytest.mark.slow
 def test_pressed_depth_is_found_within_15_percent_mostly_and_without_bias() -> None:
-    """One factor for the whole skin has no bias over its places, though it has one in the middle alone."""
+    """One factor for the whole skin has no bias over its places,
+    though it has one in the middle alone.
+    """
     places = ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0))
     presses = [
         (name, mm, x, y) for name, mm, (x, y) in product(("ball", "cube"), (2.0, 3.0, 4.0), places)
@@ -415,7 +418,9 @@ def test_a_dent_is_no_touch_for_a_while_after_a_contact() -> None:
 
 
 def swayed(image: U8, degrees: float) -> U8:
-    """The pattern turned about the disc's middle, as by a tip that sways; what lies around stays."""
+    """The pattern turned about the disc's middle, as by a tip that sways;
+    what lies around stays.
+    """
     disc = HALF.geometry.disc
     turn = cv2.getRotationMatrix2D((disc.col_c, disc.row_c), degrees, 1.0)
     return np.asarray(

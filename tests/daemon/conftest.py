@@ -23,7 +23,8 @@ Step = U8 | TacshadeError | Callable[[], None] | None
 
 
 class ScriptedSource:
-    """Plays one script per opening: an image is a frame, an error is raised, a callable is called, None ends.
+    """Plays one script per opening: an image is a frame, an error is raised, a callable is called,
+    None ends.
 
     An error as a whole script is raised by `open`; a script that is used up loses the device.
     """

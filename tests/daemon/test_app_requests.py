@@ -1,4 +1,6 @@
-"""Requests to the daemon in this process, the reference that they take or that follows, and the profile."""
+"""Requests to the daemon in this process, the reference that they take or that follows,
+and the profile.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +125,9 @@ def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
 
 
 class Late:
-    """A source whose frames are so many ms old when they come, as those of a machine that has other work."""
+    """A source whose frames are so many ms old when they come,
+    as those of a machine that has other work.
+    """
 
     def __init__(self, source: Any) -> None:
         self._source = source

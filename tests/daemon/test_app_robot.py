@@ -112,7 +112,9 @@ def presses() -> list[tuple[PoseValues, U8]]:
 
 
 class Cell:
-    """Robot, sensor, daemon, broker and subscriber; the test says where the robot is and what the sensor sees."""
+    """Robot, sensor, daemon, broker and subscriber;
+    the test says where the robot is and what the sensor sees.
+    """
 
     def __init__(self, live: Live, link: Path, scripted: Any) -> None:
         self.live, self.last = live, live.last
@@ -181,7 +183,9 @@ class Cell:
         return self.last("status/stitching")
 
     def press(self, pose: PoseValues, image: U8, count: int) -> None:
-        """Press and hold until that is added; again, where a starved robot's line had no pose for that instant."""
+        """Press and hold until that is added; again,
+        where a starved robot's line had no pose for that instant.
+        """
         missed = self.status()["missed"]
         self.go(pose)
         self.shown = image

@@ -1,4 +1,6 @@
-"""The MQTT 5 content type of every topic says what its payload is: the real daemon, broker and frames with poses."""
+"""The MQTT 5 content type of every topic says what its payload is:
+the real daemon, broker and frames with poses.
+"""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ OBJECT = TouchedObject(1, (0.5, -1.5, 17.0), (4.0, 4.0, 1.0), 2.0, 50.0)
 
 
 class Seen:
-    """What the observer reports of frames, each with the names of its objects by label; None if something touches, but
-    its depth is unknown.
+    """What the observer reports of frames, each with the names of its objects by label; None if
+    something touches, but its depth is unknown.
     """
 
     def __init__(

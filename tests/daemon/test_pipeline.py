@@ -1,4 +1,6 @@
-"""The threads that frames pass through, the mailbox between them, and the ledger of what becomes of each."""
+"""The threads that frames pass through, the mailbox between them,
+and the ledger of what becomes of each.
+"""
 
 from __future__ import annotations
 
@@ -394,7 +396,8 @@ def test_of_frames_that_nobody_asks_for_one_in_six_is_looked_at_up_to_the_gate(
     watched = Watched(on=False)
     free, touched, black = pictures.free, pictures.touched, pictures.black
     others = [touched] * (LOOK_EVERY - 1)
-    # After an invalid frame all are looked at; after one that somebody asked for it is one in six again.
+    # After an invalid frame all are looked at; after one that somebody asked for it is one
+    # in six again.
     watched.once = True
     script = [
         free,

@@ -35,7 +35,9 @@ WAIT_MS, FPS = 3.0, 30.0
 
 
 class Machine:
-    """Frames in contact, 30 per second unless said; a load makes each take so many times as long."""
+    """Frames in contact, 30 per second unless said;
+    a load makes each take so many times as long.
+    """
 
     def __init__(self, budget_ms: float, fps: float = FPS) -> None:
         self.chooser = ProfileChooser(budget_ms, COSTS_MS)
@@ -307,7 +309,10 @@ def test_a_budget_that_the_fastest_does_not_keep_is_reported_once(
         warnings()
         == warnings()
         == [
-            f"{CHEAPEST}, the fastest profile, misses the budget of 10000 ms: 90 % of frames took up to 20000.0 ms"
+            (
+                f"{CHEAPEST}, the fastest profile, misses the budget of 10000 ms: 90 % of frames "
+                "took up to 20000.0 ms"
+            )
         ]
     )
     daemon.frames(WINDOW_FRAMES, 0.9 * BUDGET_MS)

@@ -36,7 +36,9 @@ PERIOD_NS = 20_000_000
 def play(
     folder: Path, speed: float | None
 ) -> tuple[Progress, list[tuple[int, bool, float]], list[str]]:
-    """What was counted; sequence number, contact and our time of each delivery; and what was reported."""
+    """What was counted; sequence number, contact and our time of each delivery;
+    and what was reported.
+    """
     delivered: list[tuple[int, bool, float]] = []
     reported: list[str] = []
 

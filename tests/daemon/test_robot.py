@@ -100,7 +100,8 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_repor
             "EVT READY",
         )
         wait_until(lambda: any(e.startswith("GAP poses=") for e in robot.events), 10, "EVT GAP")
-        # The same number and text: not done again, the reply is the one from before the cable was pulled.
+        # The same number and text: not done again,
+        # the reply is the one from before the cable was pulled.
         robot.replies.clear()
         robot._seq = number - 1
         robot.ask("STATUS")

@@ -145,8 +145,8 @@ def test_what_is_refused(bench: Bench) -> None:
         == "ERR 3 ARGS found the RATE 0, expected a whole number of Hz from 1 to 1000"
     )
     assert bench.ask("TOUCH ON depth_mm 500") == (
-        "ERR 4 REFUSED found 34500 bytes/s (500 events/s of up to 69 bytes), expected at most 10368 bytes/s (90 % of "
-        "115200 baud); use a lower RATE, fewer names or a faster line"
+        "ERR 4 REFUSED found 34500 bytes/s (500 events/s of up to 69 bytes), expected at most "
+        "10368 bytes/s (90 % of 115200 baud); use a lower RATE, fewer names or a faster line"
     )
     assert not bench.robot.need()
     bench.missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: do that")

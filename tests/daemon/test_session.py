@@ -88,7 +88,9 @@ def begun(folder: Path, name: str = "pad") -> Session:
 
 
 def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> None:
-    """``session.json`` and ``presses.bin`` written by hand: sessions on a disk outlive an upgrade."""
+    """``session.json`` and ``presses.bin`` written by hand:
+    sessions on a disk outlive an upgrade.
+    """
     folder = tmp_path / "old"
     folder.mkdir()
     info = '{"name": "old", "begun_wall_ns": 5, "calibration_crc32": 77, "skin_radius_mm": 20.0, '

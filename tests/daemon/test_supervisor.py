@@ -1,4 +1,6 @@
-"""Sensors, a hand and daemons as their users run them: the command, a real broker, and what becomes of the others."""
+"""Sensors, a hand and daemons as their users run them:
+the command, a real broker, and what becomes of the others.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(folder: Path, port: int, *names: str, more: str = "", **places: str) -> Command:
-    """With `places`, x, y, z and the unnormalised w and z of a turn about z, the sensors are the fingers of a hand."""
+    """With `places`, x, y, z and the unnormalised w and z of a turn about z,
+    the sensors are the fingers of a hand.
+    """
     lines = [
         f"mqtt: {{host: 127.0.0.1, port: {port}}}",
         "recorder: {folder: recs}",
@@ -200,7 +204,9 @@ def states(pid: int) -> set[str]:
 
 
 def suspend(pid: int) -> None:
-    """Send SIGSTOP and wait until every thread has stopped: the kernel wakes a process whose stop is incomplete."""
+    """Send SIGSTOP and wait until every thread has stopped:
+    the kernel wakes a process whose stop is incomplete.
+    """
     os.kill(pid, signal.SIGSTOP)
     wait_until(lambda: states(pid) == {"T"}, 20, "each thread stands")
 
@@ -369,7 +375,8 @@ def test_objects_of_both_fingers_come_in_the_hands_frame_and_no_part_needs_anoth
     assert "Traceback" not in running.log()
 
 
-# Two daemons that share what belongs to one: the second says who has it, and the first loses nothing.
+# Two daemons that share what belongs to one: the second says who has it,
+# and the first loses nothing.
 
 
 @pytest.fixture
@@ -385,9 +392,12 @@ def test_two_daemons(folder: Path, broker: Broker, seen: Subscriber, device: str
     def daemon(name: str) -> Command:
         settings = folder / f"{name}.yaml"
         settings.write_text(
-            f"sensor_id: left\ncalibration: thumb.npz\nmqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
+            "sensor_id: left\n"
+            "calibration: thumb.npz\n"
+            f"mqtt: {{host: 127.0.0.1, port: {broker.port}}}\n"
             "source: {kind: files, path: thumb, fps: 30, loop: true}\n"
-            f"serial: {{device: {device}}}\nstitching: {{folder: one}}\n"
+            f"serial: {{device: {device}}}\n"
+            "stitching: {folder: one}\n"
         )
         return Command(settings)
 
@@ -416,7 +426,10 @@ def test_two_daemons(folder: Path, broker: Broker, seen: Subscriber, device: str
                 found, Process(first.process.pid, ("tacshade-edge", "run")), "left"
             )
             waiting = f"on {socket.gethostname()}, process {second.process.pid}"
-            expected = f"two daemons are using left: one is running {place}, and the other is waiting {waiting}"
+            expected = (
+                f"two daemons are using left: one is running {place}, "
+                f"and the other is waiting {waiting}"
+            )
             assert finding.found == expected
             before = captured()
             wait_until(lambda: captured() > before + 30, 30, "the first goes on")

@@ -1,4 +1,6 @@
-"""What a service manager hears: the real daemon in this process, a real datagram socket, a scripted camera."""
+"""What a service manager hears: the real daemon in this process, a real datagram socket,
+a scripted camera.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""One browser, and one calibration, for all tests of the page; a broker, its dashboard and a sensor for each."""
+"""One browser, and one calibration, for all tests of the page;
+a broker, its dashboard and a sensor for each.
+"""
 
 from __future__ import annotations
 

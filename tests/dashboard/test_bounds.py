@@ -1,4 +1,6 @@
-"""What the page takes of a message, in Node.js: what cannot be shown is refused, what is too much is cut."""
+"""What the page takes of a message, in Node.js: what cannot be shown is refused,
+what is too much is cut.
+"""
 
 from __future__ import annotations
 

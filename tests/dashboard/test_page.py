@@ -58,7 +58,9 @@ pytestmark = NEEDS_A_BROWSER
 def test_every_cell_has_the_colour_of_its_depth(
     page: Chrome, address: str, sensor: PublishedSensor
 ) -> None:
-    """A known shape: where it lies, how it falls off, what is outside, and what the pointer reads."""
+    """A known shape: where it lies, how it falls off, what is outside,
+    and what the pointer reads.
+    """
     row, col = DISC.row_c + 40, DISC.col_c - 60
     opened(page, address)
     until_shown(page, sensor, lambda: uncertain(bump(7, 2.6, row, col), 0.125), 7)
@@ -178,7 +180,10 @@ def test_several_hands(page: Chrome, tmp_path: Path) -> None:
         return list(
             js(
                 page,
-                "[...document.querySelectorAll('#sensors button')].map(tab => tab.innerText.trim())",
+                (
+                    "[...document.querySelectorAll('#sensors button')].map(tab => "
+                    "tab.innerText.trim())"
+                ),
             )
         )
 
@@ -235,8 +240,8 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
         shows(page, "n-slip", "sticks")
         for name in ("state", "n-contact", "n-depth", "n-slip", "cells", "bar", "ticks", "cursor"):
             ((left, top, right, bottom),) = boxes(page, f"#{name}")
-            assert left >= 0 and top >= 0 and right <= width and bottom <= height, name  # noqa: PT018
-            assert right > left and bottom > top, name  # noqa: PT018
+            assert 0 <= left < right <= width, name
+            assert 0 <= top < bottom <= height, name
         assert boxes(page, "#cells")[0][2] - boxes(page, "#cells")[0][0] > 300
         assert js(page, "document.documentElement.scrollWidth") <= width
         least = js(
@@ -296,8 +301,11 @@ def test_two_hands_are_compared_cell_by_cell_in_the_cells_of_the_first(
 
 
 ROWS = """[...document.querySelectorAll("#touch-numbers > div")].map((row) => ({
-  name: row.querySelector("dt").textContent, value: row.querySelector("dd").textContent, title: row.title,
-  bar: row.querySelector("i").hidden ? null : ["left", "width"].map((end) => row.querySelector("i").style[end])}))"""
+  name: row.querySelector("dt").textContent,
+  value: row.querySelector("dd").textContent,
+  title: row.title,
+  bar: row.querySelector("i").hidden
+    ? null : ["left", "width"].map((end) => row.querySelector("i").style[end])}))"""
 KNOWN = Touch(
     {"depth_mm": 1.5, "tilt_x_deg": -8.0, "force_z_n": 2.5},
     {"depth_mm": 0.25, "tilt_x_deg": 1.0, "force_z_n": 0.5},
@@ -365,7 +373,10 @@ def test_contacts_are_listed_newest_first(
         "depth_max_mm": 1.5,
     }
     ended = {"id": 1, "type": "end", "end_ns": 3_500_000_000, "slip": 2}
-    rows = "return [...document.querySelectorAll('#lived-list tr')].map((row) => row.innerText.split('\\t'))"
+    rows = (
+        "return [...document.querySelectorAll('#lived-list tr')].map((row) => "
+        "row.innerText.split('\\t'))"
+    )
 
     def listed() -> bool:
         for more in ({"id": 1, "type": "new"}, ended, {"id": 2, "type": "update"}, {"id": "x"}):
@@ -402,7 +413,9 @@ def test_taught_objects_are_named_until_the_contact_ends(
 
 
 def map_says(page: Chrome) -> tuple[str, bool]:
-    """The words on the map, empty if hidden, and whether its rim has the colour of a touch of unknown depth."""
+    """The words on the map, empty if hidden, and whether its rim has the colour of a touch
+    of unknown depth.
+    """
     return text(page, "free"), bool(
         js(page, "document.querySelector('.is-touched #disc') !== null")
     )

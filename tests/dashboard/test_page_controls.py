@@ -1,4 +1,6 @@
-"""What a person commands, or takes away: recordings, marks, a zero that waits, sensors that are gone."""
+"""What a person commands, or takes away: recordings, marks, a zero that waits,
+sensors that are gone.
+"""
 
 from __future__ import annotations
 

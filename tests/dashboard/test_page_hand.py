@@ -69,7 +69,9 @@ class WholeHand:
         motion: dict[str, object] | None = None,
         **other: Finger,
     ) -> None:
-        """One message of the hand, with a motion of all that is touched, and where the thumb touches its map."""
+        """One message of the hand, with a motion of all that is touched,
+        and where the thumb touches its map.
+        """
         thumb = (
             Finger(state="contact", t_ns=1, age_ms=3.0, seq=7, objects=(TOUCHED,))
             if touching
@@ -212,7 +214,8 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(
 
     wait_until(lambda: drawn(None, -80.0), 20, "patches without a motion are where they are")
     assert " mm" not in text(page, "whole-maps"), "no depth beside a map that has not arrived"
-    # The body looks the same before: only its second outline shows that the page has drawn a motion.
+    # The body looks the same before: only its second outline shows
+    # that the page has drawn a motion.
     held = "document.querySelector('#whole-plane .grasped') !== null"
     wait_until(lambda: drawn(moved_by(0, 0), -80.0) and js(page, held), 20, "grasped")
     assert js(

@@ -31,7 +31,9 @@ pytestmark = NEEDS_A_BROWSER
 def test_the_map_grows_with_its_revisions(
     page: Chrome, address: str, sensor: PublishedSensor
 ) -> None:
-    """From the first press to the final map: every place has the colour of its z, elsewhere there is nothing."""
+    """From the first press to the final map: every place has the colour of its z,
+    elsewhere there is nothing.
+    """
     x, y = 400.0, -250.0  # of the pad's corner in the base frame
     opened(page, address)
     wait_until(lambda: js(page, "tacshade.sensor"), 10, "the sensor")

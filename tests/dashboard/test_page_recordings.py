@@ -1,4 +1,6 @@
-"""The list of recordings in the page: played, downloaded, deleted, and one clear line where that fails."""
+"""The list of recordings in the page: played, downloaded, deleted,
+and one clear line where that fails.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ HTMLAnchorElement.prototype.click = function () { window.savedAs = this.download
 
 def press(page: Chrome, words: str, name: str) -> None:
     """A button of one recording; the list is drawn anew meanwhile, so in one step."""
-    button = f"document.querySelector('#recordings button[aria-label=\"{words} {name}\"]:not(:disabled)')"
+    button = (
+        f"document.querySelector('#recordings button[aria-label=\"{words} "
+        f"{name}\"]:not(:disabled)')"
+    )
     wait_until(lambda: js(page, f"{button} !== null"), 15, f"{words} {name}")
     page.execute_script(f"{button}.click()")
 
@@ -64,8 +69,9 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
         shows(page, "recordings-words", "downloaded press-1, 20.0 MB")
         assert js(page, "savedAs") == "press-1.tar"
         digest = page.execute_async_script(
-            "const done = arguments[0]; saved.arrayBuffer().then((all) => crypto.subtle.digest('SHA-256', all))"
-            ".then((found) => done([...new Uint8Array(found)]));"
+            "const done = arguments[0]; saved.arrayBuffer().then((all) => "
+            "crypto.subtle.digest('SHA-256', all)).then((found) => done([...new "
+            "Uint8Array(found)]));"
         )
         pieces: list[bytes] = []
         recordings.tar(path, pieces.append)

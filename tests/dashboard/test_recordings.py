@@ -1,4 +1,6 @@
-"""Recordings: hostile names, what a tar holds, what is deleted; and the commands through the real server."""
+"""Recordings: hostile names, what a tar holds, what is deleted;
+and the commands through the real server.
+"""
 
 from __future__ import annotations
 

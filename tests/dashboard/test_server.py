@@ -76,7 +76,8 @@ async def test_the_page_may_load_its_own_files_only() -> None:
             assert "frame-ancestors 'none'" in policy
             assert "unsafe" not in policy
             assert headers["x-content-type-options"] == "nosniff"
-        # The one inline script is allowed by its hash, so the hash has to be that of the page as it is.
+        # The one inline script is allowed by its hash,
+        # so the hash has to be that of the page as it is.
         assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count(
             '<script type="importmap">'
         )

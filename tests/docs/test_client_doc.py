@@ -1,4 +1,6 @@
-"""The examples of docs/reference/client.md and docs/how-to/listen.md run, and the names are public."""
+"""The examples of docs/reference/client.md and docs/how-to/listen.md run,
+and the names are public.
+"""
 
 from __future__ import annotations
 

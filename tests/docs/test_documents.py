@@ -1,4 +1,6 @@
-"""Every document: its links and files are there, it has a place in the site, and its tables are the code's."""
+"""Every document: its links and files are there, it has a place in the site,
+and its tables are the code's.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,10 @@ DOCUMENTS = sorted(
 )
 SETTINGS = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
-"""git fills the file in when it makes an archive, which has no history. Any other tree without one fails."""
+"""git fills the file in when it makes an archive, which has no history.
+
+Any other tree without one fails.
+"""
 OF_A_MACHINE = re.compile(r"(?<![\w.>)~/])/(?:home|root|tmp|work|mnt|Users)/[\w.-]+")
 
 

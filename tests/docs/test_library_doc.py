@@ -1,4 +1,6 @@
-"""docs/reference/library.md: its examples run as they are written, with the simulated sensor and a real broker."""
+"""docs/reference/library.md: its examples run as they are written,
+with the simulated sensor and a real broker.
+"""
 
 from __future__ import annotations
 

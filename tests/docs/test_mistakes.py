@@ -1,4 +1,6 @@
-"""docs/how-to/mistakes.md: every mistake is made here, and gets the line and the exit code that the page has for it."""
+"""docs/how-to/mistakes.md: every mistake is made here,
+and gets the line and the exit code that the page has for it.
+"""
 
 from __future__ import annotations
 

@@ -27,14 +27,17 @@ TOUCH_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "touch.jso
 NODE = shutil.which("node")
 FLAGS = {1: "contact", 2: "invalid", 4: "saturated", 8: "degraded", 32: "touched"}
 
-# Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer, as mqtt.js delivers it.
+# Reads lines of hex; each is decoded from a view at an odd offset of a larger buffer,
+# as mqtt.js delivers it.
 HARNESS = """
-const plain = (k, v) => typeof v === "bigint" ? v.toString() : ArrayBuffer.isView(v) ? Array.from(v) : v;
+const plain = (k, v) =>
+  typeof v === "bigint" ? v.toString() : ArrayBuffer.isView(v) ? Array.from(v) : v;
 for (const line of require("fs").readFileSync(0, "latin1").trimEnd().split("\\n")) {
   const bytes = Buffer.from(line.slice(1), "hex"), big = Buffer.alloc(bytes.length + 7);
   bytes.copy(big, 3);
   let answer;
-  try { answer = NAME(big.subarray(3, 3 + bytes.length)); } catch (e) { answer = { error: e.message }; }
+  try { answer = NAME(big.subarray(3, 3 + bytes.length)); }
+  catch (e) { answer = { error: e.message }; }
   console.log(JSON.stringify(answer, plain));
 }
 """

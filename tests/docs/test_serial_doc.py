@@ -1,4 +1,6 @@
-"""docs/reference/serial.md: typed lines get the answers shown, its C and Python run, its events are vectors."""
+"""docs/reference/serial.md: typed lines get the answers shown, its C and Python run,
+its events are vectors.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,10 @@ int main(void) {
     char *text = line + 5;
     if (!strncmp(line, "seal ", 5)) { seal(sealed, text); fputs(sealed, stdout); }
     if (!strncmp(line, "open ", 5)) { int whole = unseal(text); printf("%d %s\n", whole, text); }
-    if (!strncmp(line, "line ", 5)) { strcat(text, "\n"); hex(out, line_frame(out, text, strlen(text))); }
+    if (!strncmp(line, "line ", 5)) {
+      strcat(text, "\n");
+      hex(out, line_frame(out, text, strlen(text)));
+    }
     if (!strncmp(line, "pose ", 5)) {
       float p[7];
       char *at;

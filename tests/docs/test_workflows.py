@@ -1,4 +1,6 @@
-"""What a newcomer and a tag start: hooks, public CI and the release, whose rights and commands are here."""
+"""What a newcomer and a tag start: hooks, public CI and the release,
+whose rights and commands are here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Cameras and their frames; nodes, formats and busy cameras are looked at in the guest (tests/guest/test_doctor.py)."""
+"""Cameras and their frames; nodes, formats and busy cameras are looked at in the guest
+(tests/guest/test_doctor.py).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Power, heat, governor, clocks and disk; and that a report says what the board is, and nothing of whose it is."""
+"""Power, heat, governor, clocks and disk; and that a report says what the board is,
+and nothing of whose it is.
+"""
 
 from __future__ import annotations
 
@@ -147,7 +149,9 @@ def test_the_facts_name_the_board_and_not_its_owner(machine: Any) -> None:
     for path, text in {
         MODEL: "Raspberry Pi | 5\x1b[31m" + "d" * 200,
         "/proc/device-tree/serial-number": f"{SECRETS[0]}\0",
-        "/proc/cpuinfo": f"processor\t: 0\nCPU part\t: 0xd0b\n\nSerial\t\t: {SECRETS[0]}\nModel\t\t: Pi\n",
+        "/proc/cpuinfo": (
+            f"processor\t: 0\nCPU part\t: 0xd0b\n\nSerial\t\t: {SECRETS[0]}\nModel\t\t: Pi\n"
+        ),
         "/proc/meminfo": "MemTotal:        8245424 kB\n",
         "/etc/hostname": f"{SECRETS[1]}\n",
         "/etc/os-release": 'PRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\nNAME="Debian"\n',

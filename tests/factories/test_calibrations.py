@@ -206,7 +206,9 @@ def of_1_0(path: Path) -> Path:
 
 @pytest.fixture
 def later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A later version of the program, whose networks have other weights: each is a hundredth less."""
+    """A later version of the program, whose networks have other weights:
+    each is a hundredth less.
+    """
     weights = shutil.copytree(network.WEIGHTS, tmp_path / "weights")
     for name in ("fast", "balanced", "accurate"):
         data = (weights / f"{name}.onnx").read_bytes()
@@ -272,7 +274,7 @@ def test_one_without_its_inputs_opens_too_and_says_what_to_do(
     of_1_0.write_bytes(Content(meta, arrays).packed())
     assert calibrations.load(of_1_0).factors == {}
     (line,) = caplog.messages
-    assert (
-        line
-        == f"{of_1_0}: ignoring the calibration's fit, which belongs to older networks; calibrate again"
+    assert line == (
+        f"{of_1_0}: ignoring the calibration's fit, which belongs to older networks; "
+        "calibrate again"
     )

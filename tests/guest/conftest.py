@@ -1,5 +1,5 @@
-"""These tests run inside a guest with a real kernel, systemd and udev (tools/ci/run_guest.py): as root, with nothing to
-lose, some twenty times slower.
+"""These tests run inside a guest with a real kernel, systemd and udev (tools/ci/run_guest.py): as
+root, with nothing to lose, some twenty times slower.
 """
 
 from __future__ import annotations

@@ -104,7 +104,9 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
 
 @contextmanager
 def handed_over() -> Iterator[list[tuple[int, int]]]:
-    """Number and time stamp (ns) of each frame, from the kernel's trace: OpenCV hides the number."""
+    """Number and time stamp (ns) of each frame, from the kernel's trace:
+    OpenCV hides the number.
+    """
     handed: list[tuple[int, int]] = []
     switch = TRACING / "events/v4l2/v4l2_dqbuf/enable"
     (TRACING / "trace").write_text("")
@@ -120,7 +122,9 @@ def handed_over() -> Iterator[list[tuple[int, int]]]:
 
 
 def skip_unless_even(handed: list[tuple[int, int]]) -> None:
-    """What is inferred from time stamps holds while they are off by less than 15 % of the period (`FrameGaps`)."""
+    """What is inferred from time stamps holds while they are off by less than 15 % of the period
+    (`FrameGaps`).
+    """
     (first, first_ns), (last, last_ns) = handed[0], handed[-1]
     period_ns = (last_ns - first_ns) / (last - first)
     off = [
@@ -129,7 +133,8 @@ def skip_unless_even(handed: list[tuple[int, int]]) -> None:
     ]
     if 10 * sum(off) > len(off):
         pytest.skip(
-            f"the emulated camera is starved: {sum(off)} of {len(off)} of its intervals are off by over 15 %"
+            f"the emulated camera is starved: {sum(off)} of {len(off)} of its intervals are off "
+            "by over 15 %"
         )
 
 
@@ -281,7 +286,9 @@ def test_another_camera_in_its_place_is_the_devices_fault(camera: V4l2Source) ->
 
 
 def test_a_file_in_its_place_is_the_devices_fault(camera: V4l2Source) -> None:
-    """What a program that writes to an unplugged camera leaves; the same before any frame is the user's mistake."""
+    """What a program that writes to an unplugged camera leaves;
+    the same before any frame is the user's mistake.
+    """
     camera.close()
     unload_driver()
     device = Path("/dev/video0")

@@ -1,4 +1,6 @@
-"""What `doctor` says of a real video device: there, absent, busy, of another size, slow, unplugged."""
+"""What `doctor` says of a real video device: there, absent, busy, of another size, slow,
+unplugged.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""The installed service with a real camera driver, udev, control groups and mosquitto, under systemd as PID 1.
+"""The installed service with a real camera driver, udev, control groups and mosquitto,
+under systemd as PID 1.
 
-One boot, one service; the tests follow each other as its days do. tests/service/test_boot.py has what needs no camera.
+One boot, one service; the tests follow each other as its days do.
+tests/service/test_boot.py has what needs no camera.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ from tools.testbed.patience import patience, stretched, wait_until
 
 TREE = Path(__file__).resolve().parents[2]
 GIVEN = TREE / ".rig/given"
-"""By tools/ci/run_guest.py: images.npy (N, 480, 640), calibration.npz, depth_mm that the core finds."""
+"""By tools/ci/run_guest.py: images.npy (N, 480, 640), calibration.npz,
+depth_mm that the core finds.
+"""
 APP = Path("/opt/tacshade-edge")
 STATE = Path("/var/lib/tacshade-edge")
 GROUP = Path("/sys/fs/cgroup/system.slice") / UNIT
@@ -40,19 +44,22 @@ CAMERA = Path("/dev/tacshade/camera-platform-vivid_0")
 SOURCE = V4l2(device=str(CAMERA), width_px=640, height_px=480, fps=25, fourcc="YUYV")
 GOOD = (
     "profile: fast\n"
-    f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: YUYV}}\n"
+    f"source: {{kind: v4l2, device: {CAMERA}, width_px: 640, height_px: 480, fps: 25, fourcc: "
+    "YUYV}\n"
 )
 MEMORY_MAX = 150 * 2**20
 START_S = 10
 STOP_S = 2.0
-# What the emulation needs and no machine: time to start, and the tests' own Python in the place of Debian's. How long a
-# stop may take is as shipped: the daemon asks for more where it needs it.
+# What the emulation needs and no machine: time to start, and the tests' own Python in the place of
+# Debian's. How long a stop may take is as shipped: the daemon asks for more where it needs it.
 DROP_IN = "[Service]\nTimeoutStartSec={start_s:.0f}\nEnvironment=LD_LIBRARY_PATH=/opt/python/lib\n"
 
 
 @pytest.fixture(scope="module", autouse=True)
 def installed() -> None:
-    """The shipped files through install.sh; the program from what the tests run with, as pip would lay it out."""
+    """The shipped files through install.sh; the program from what the tests run with,
+    as pip would lay it out.
+    """
     assert sh("env", "DESTDIR=/", str(TREE / "systemd/install.sh"))[0] == 0
     python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
     site = APP / "lib" / python / "site-packages"
@@ -153,13 +160,16 @@ def test_the_life_of_a_plugged_in_camera() -> None:
 
 
 def streams_unprivileged(before: dict[str, str]) -> None:
-    """A subscriber decodes the depth that the core finds in the very image, and none where the skin is free."""
+    """A subscriber decodes the depth that the core finds in the very image,
+    and none where the skin is free.
+    """
     depth_mm = float((GIVEN / "depth_mm").read_text())
     with Subscriber(1883, "tacshade/tacshade/height") as seen:
 
         def found() -> bool:
             new = [seen.messages.pop(0).payload for _ in range(len(seen.messages))]
-            depths_mm.extend(float(np.nanmax(wire.decode(data).height_mm)) for data in new)  # type: ignore[union-attr]
+            maps = [wire.decode(data).height_mm for data in new]  # type: ignore[union-attr]
+            depths_mm.extend(float(np.nanmax(each)) for each in maps)
             return 0 in depths_mm and any(abs(each - depth_mm) < 0.001 for each in depths_mm)
 
         depths_mm: list[float] = []

@@ -60,7 +60,9 @@ class Seen:
         return coded(exact / scale, int(zero))  # the one float32 that is rounded
 
     def _convolution(self, node: Node) -> F64:
-        """Sums of whole numbers; their product with the scale is the one float32 that is rounded."""
+        """Sums of whole numbers; their product with the scale is the one float32
+        that is rounded.
+        """
         given = (self.of[node.inputs[k]] for k in (0, 2, 3, 4, 7, 8))
         x, x_zero, weight, scale, zero, bias = given
         sums = convolved(x[0].astype(np.float64) - int(x_zero), weight, node)
@@ -109,7 +111,9 @@ def coded(values: np.ndarray, zero: int) -> F64:
 
 @cache
 def inputs(name: str) -> tuple[tuple[F32, F32], ...]:
-    """What a network is given for presses, and without one that of depth: white and the sensor's part."""
+    """What a network is given for presses, and without one that of depth:
+    white and the sensor's part.
+    """
     of_depth = name if name in OF_DEPTH else "fast"
     network = load_network(of_depth)
     given: list[tuple[F32, F32]] = []
@@ -213,7 +217,8 @@ def test_heights_are_those_of_float32(name: str, tmp_path: Path) -> None:
     ]
     mean, worst = max(float(each.mean()) for each in off), max(float(each.max()) for each in off)
     print(
-        f"figure: {name} in integers: heights {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most"
+        f"figure: {name} in integers: heights {mean:.3f} mm from float32 in a frame's mean, "
+        f"{worst:.2f} at most"
     )
     assert mean <= MEAN_MM
     assert worst <= WORST_MM
@@ -235,7 +240,8 @@ def test_shears_are_those_of_float32(tmp_path: Path) -> None:
     ]
     mean, worst = max(float(each.mean()) for each in off), max(float(each.max()) for each in off)
     print(
-        f"figure: shear in integers: {mean:.3f} mm from float32 in a frame's mean, {worst:.2f} at most"
+        f"figure: shear in integers: {mean:.3f} mm from float32 in a frame's mean, "
+        f"{worst:.2f} at most"
     )
     assert mean <= MEAN_MM
     assert worst <= WORST_MM

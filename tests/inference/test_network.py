@@ -120,7 +120,9 @@ def test_a_fitted_profile_has_its_own_factor_and_keeps_its_weights_on_a_new_refe
 
 
 def test_calibrations_are_of_the_shipped_weights() -> None:
-    """A factor that was fitted to other weights is silently wrong: new weights need a new `VERSION`, and this line."""
+    """A factor that was fitted to other weights is silently wrong: new weights need a new
+    `VERSION`, and this line.
+    """
     shipped = {
         name: json.loads((WEIGHTS / f"{name}.json").read_text())["sha256"][f"{name}.onnx"][:8]
         for name in NAMES
@@ -144,7 +146,9 @@ for name, network in load_networks().items():
 
 
 def traced(folder: Path, code: str) -> list[str]:
-    """Calls that have to do with the network, without one, of a Python that is no test's and that has an empty home."""
+    """Calls that have to do with the network, without one,
+    of a Python that is no test's and that has an empty home.
+    """
     calls, home = folder / "calls", folder / "home"
     home.mkdir()
     places = {"TMPDIR": str(home), "HOME": str(home), "PYTHONPATH": os.pathsep.join(sys.path)}

@@ -36,7 +36,9 @@ def test_its_own_weights_change_nothing_and_others_not_the_layout(name: str) -> 
 
 
 def test_a_graph_takes_the_weights_of_another_file() -> None:
-    """Also weights longer than a length of one byte states; whoever reads the file finds them in a second graph."""
+    """Also weights longer than a length of one byte states;
+    whoever reads the file finds them in a second graph.
+    """
     graph = graph_of(FAST)
     nodes = b"".join(
         message(1, FAST[f.begin : f.end]) for f in fields(FAST, graph.begin, graph.end)[1]

@@ -1,4 +1,6 @@
-"""load, open, read, listen and Sensor: what is of another kind is the library's own error, in one line."""
+"""load, open, read, listen and Sensor: what is of another kind is the library's own error,
+in one line.
+"""
 
 from __future__ import annotations
 

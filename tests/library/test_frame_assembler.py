@@ -1,4 +1,6 @@
-"""What a daemon publishes of a frame gives the frame's own result; what no daemon publishes is no error."""
+"""What a daemon publishes of a frame gives the frame's own result;
+what no daemon publishes is no error.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""decode, decode_file and read_hand: the vectors of the wire, files of them, and recordings of a hand's fingers."""
+"""decode, decode_file and read_hand: the vectors of the wire, files of them,
+and recordings of a hand's fingers.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,10 @@ def test_what_is_no_hand_is_refused(tmp_path: Path) -> None:
     for paths, expected in (
         (
             (thumb, alone),
-            r"alone: found a recording without hand_T_sensor in its settings\.yaml, expected a recording",
+            (
+                r"alone: found a recording without hand_T_sensor in its settings\.yaml, "
+                r"expected a recording"
+            ),
         ),
         (
             (thumb, other),

@@ -24,6 +24,9 @@ def test_everything_that_is_listed_is_there_and_on_the_page() -> None:
 
 def test_the_import_brings_nothing_and_starts_nothing() -> None:
     code = "import sys, threading; before = set(sys.modules); import tacshade_edge; "
-    code += "print(sorted(m for m in set(sys.modules) - before if 'numpy' in m or 'cv2' in m or m.startswith('tacsh')))"
+    code += (
+        "print(sorted(m for m in set(sys.modules) - before if 'numpy' in m or 'cv2' in m or "
+        "m.startswith('tacsh')))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['tacshade_edge']"

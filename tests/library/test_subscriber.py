@@ -1,4 +1,6 @@
-"""listen: a real broker; what cannot be heard is an error that says why, and the next call begins again."""
+"""listen: a real broker; what cannot be heard is an error that says why,
+and the next call begins again.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,10 @@ def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: found no file")
         hand.publish_info("fast", profiles=("fast",), missing=missing)
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
-            said = "tacshade/drawn: no result for 1 s; the sensor's state is online; not calibrated: found no file"
+            said = (
+                "tacshade/drawn: no result for 1 s; the sensor's state is online; not calibrated: "
+                "found no file"
+            )
             with pytest.raises(ts.DeviceError, match=said):
                 next(results)
         with (

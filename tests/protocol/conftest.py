@@ -16,7 +16,9 @@ VECTORS = json.loads((Path(__file__).parent / "vectors" / "wire.json").read_text
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """`sound`, `damaged`, `own` (no later version's), `mapped` (of `map/cloud`): one test per vector of wire.json."""
+    """`sound`, `damaged`, `own` (no later version's), `mapped` (of `map/cloud`):
+    one test per vector of wire.json.
+    """
     for name, wanted in (
         ("sound", lambda v: "expect" in v),
         ("damaged", lambda v: "error" in v),

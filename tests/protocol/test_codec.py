@@ -1,4 +1,6 @@
-"""One decoder for all JSON of a hand: what is beyond its bounds is refused in one line, whatever it is."""
+"""One decoder for all JSON of a hand: what is beyond its bounds is refused in one line,
+whatever it is.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Requests: strict, and refused in one line; the results of replies have the serial line's words."""
+"""Requests: strict, and refused in one line; the results
+of replies have the serial line's words.
+"""
 
 from __future__ import annotations
 

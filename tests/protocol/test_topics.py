@@ -1,4 +1,6 @@
-"""What is reported in JSON and announced to Home Assistant, and where a broker is, as people write it."""
+"""What is reported in JSON and announced to Home Assistant, and where a broker is,
+as people write it.
+"""
 
 from __future__ import annotations
 
@@ -126,8 +128,9 @@ def test_contact_reports_the_most_of_what_moves(
 
 
 def test_info_places_a_pixel_in_mm() -> None:
+    disc = Disc(239.5, np.float64(319.5), 200.0)  # type: ignore[arg-type]
     calibration = Calibration(
-        geometry=Geometry(20.0, None, 30.0, Disc(239.5, np.float64(319.5), 200.0)),  # type: ignore[arg-type]
+        geometry=Geometry(20.0, None, 30.0, disc),
         polarity="bright",
         binarisation="adaptive",
         image_height_px=480,

@@ -1,8 +1,9 @@
 #!/usr/bin/python3
-"""Runs as root under a booted systemd without a network (tools/rig/boot_systemd.sh): uses the service as people would.
+"""Runs as root under a booted systemd without a network (tools/rig/boot_systemd.sh):
+uses the service as people would.
 
-It is installed from a clone, and then, where there are packages, by apt. Only what was seen is written; test_boot.py
-judges. Standard library only.
+It is installed from a clone, and then, where there are packages, by apt. Only what was seen is
+written; test_boot.py judges. Standard library only.
 """
 
 from __future__ import annotations
@@ -140,7 +141,9 @@ def reloads() -> dict[str, Any]:
 
 
 def hangs() -> dict[str, Any]:
-    """The thread `reconstruct` alone, in whatever it does: the last that a start makes (architecture.md)."""
+    """The thread `reconstruct` alone, in whatever it does:
+    the last that a start makes (architecture.md).
+    """
     fresh(GOOD)
     before = show()
     last = threads(before["MainPID"])[-1]

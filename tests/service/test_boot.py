@@ -1,5 +1,5 @@
-"""The service under a real systemd as PID 1, installed from a clone and by its Debian package; once, then judged scene
-by scene.
+"""The service under a real systemd as PID 1, installed from a clone and by its Debian package;
+once, then judged scene by scene.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ def built(folder: Path) -> Path | str:
 
 
 def make_older(package: Path, folder: Path) -> None:
-    """The release before: a lower version, other default settings, a module that is dropped since."""
+    """The release before: a lower version, other default settings,
+    a module that is dropped since.
+    """
     root = folder / "root"
     subprocess.run(["dpkg-deb", "--raw-extract", package, root], check=True)
     control = root / "DEBIAN/control"
@@ -260,10 +262,8 @@ def test_the_package_says_what_it_is(package: Path) -> None:
     assert [row for row in rows if row[0][0] != "l" and "w" in (row[0][5], row[0][8])] == []
     names = {row[5].removeprefix(".") for row in rows}
     assert {f"/{name}" for name in CONFFILES} <= names
-    assert (
-        f"/opt/tacshade-edge/lib/python{python}/site-packages/tacshade_edge/inference/weights/fast.onnx"
-        in names
-    )
+    packages = f"/opt/tacshade-edge/lib/python{python}/site-packages"
+    assert f"{packages}/tacshade_edge/inference/weights/fast.onnx" in names
     assert [name for name in names if name.endswith((".pyc", "direct_url.json"))] == []
 
 

@@ -1,4 +1,6 @@
-"""The mosquitto drop-in and its ACL as shipped, in a real mosquitto: who may do what, and how much it holds."""
+"""The mosquitto drop-in and its ACL as shipped, in a real mosquitto:
+who may do what, and how much it holds.
+"""
 
 from __future__ import annotations
 
@@ -211,7 +213,9 @@ def test_what_each_may_see(filled_in: Served) -> None:
 def test_a_hand_its_fingers_and_a_dashboard_work_together(
     filled_in: Served, tmp_path: Path
 ) -> None:
-    """Each part of the real daemon logs in as itself; the dashboard sees both fingers and gets answers."""
+    """Each part of the real daemon logs in as itself;
+    the dashboard sees both fingers and gets answers.
+    """
     cv2.imwrite(str(tmp_path / "touched.png"), TOUCHED)
     for user in (SENSOR, OTHER):
         calibration_file.save(tmp_path / f"{user}.npz", painted_calibration())
@@ -221,8 +225,10 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(
         return f"username: {user}, password_file: {user}.password"
 
     fingers = [
-        f"  {name}: {{calibration: {name}.npz, source: {{kind: files, path: {path}, fps: 20, loop: true}}, "
-        f"mqtt: {{{login(name)}}}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}}"
+        (
+            f"  {name}: {{calibration: {name}.npz, source: {{kind: files, path: {path}, fps: 20, "
+            f"loop: true}}, mqtt: {{{login(name)}}}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]}}"
+        )
         for name, path in ((SENSOR, "touched.png"), (OTHER, "./touched.png"))
     ]
     config = tmp_path / "config.yaml"
@@ -262,7 +268,8 @@ def test_a_hand_its_fingers_and_a_dashboard_work_together(
 
 def resident_mb(pid: int) -> float:
     status = Path(f"/proc/{pid}/status").read_text()
-    return int(re.search(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)[1]) / 1024  # type: ignore[index]
+    (resident_kb,) = re.findall(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)
+    return int(resident_kb) / 1024
 
 
 def test_a_subscriber_that_takes_nothing_costs_the_broker_little(as_shipped: Served) -> None:

@@ -93,7 +93,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         )  # a commit while it is built gives the tree another one
         (folder / "image.json").write_text(json.dumps(found["Config"]))
         print(
-            f"the image has {found['Size'] / 1e6:.0f} MB, its base {base(python).stat().st_size / 1e6:.0f} MB"
+            f"the image has {found['Size'] / 1e6:.0f} MB, its base "
+            f"{base(python).stat().st_size / 1e6:.0f} MB"
         )
         made = done(*podman, "create", "localhost/tacshade-edge").strip()
         (folder / "root").mkdir()

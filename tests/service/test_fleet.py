@@ -1,4 +1,6 @@
-"""The files of config/fleet with real brokers: what goes up, what does not, and what a cut link costs."""
+"""The files of config/fleet with real brokers: what goes up, what does not,
+and what a cut link costs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The unit and its installation as systemd judges them, and what the daemon takes of a small board's memory."""
+"""The unit and its installation as systemd judges them,
+and what the daemon takes of a small board's memory.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ def test_nor_of_what_lets_it_use_other_devices(tmp_path: Path, name: str) -> Non
 @needs_analyze
 def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
     report = analyze("security", "--offline=true", "--no-pager", unit(tmp_path))
-    assert 0.1 < float(re.search(r"exposure level for \S+: ([\d.]+)", report)[1]) <= EXPOSURE_MAX  # type: ignore[index]
+    (exposure,) = re.findall(r"exposure level for \S+: ([\d.]+)", report)
+    assert 0.1 < float(exposure) <= EXPOSURE_MAX
 
 
 def install(root: Path, *words: str, **environment: str) -> str:
@@ -119,8 +122,8 @@ FRAMES, FPS = (
     1_500,
     150,
 )  # as fast as a busy machine of two cores reads them; what comes too fast is superseded
-# Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at the end and at the
-# peak of 5000 frames. A kilobyte forgotten with each frame of these: 1.3 MB.
+# Measured with ONNX Runtime 1.32, which takes 8 MB more than 1.28: 120.6 MB after a tenth, 120.8 at
+# the end and at the peak of 5000 frames. A kilobyte forgotten with each frame of these: 1.3 MB.
 RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 1.2
 
 

@@ -185,7 +185,11 @@ def test_the_commented_robot_of_the_default_file_is_its_defaults(tmp_path: Path)
 
 
 def test_a_relative_path_counts_from_the_files_folder(tmp_path: Path) -> None:
-    text = "calibration: c.npz\nsource: {kind: files, path: x}\nmqtt: {password_file: p, ca_file: /abs/ca}\n"
+    text = (
+        "calibration: c.npz\n"
+        "source: {kind: files, path: x}\n"
+        "mqtt: {password_file: p, ca_file: /abs/ca}\n"
+    )
     text += "recorder: {folder: r}\nstitching: {folder: s}\n"
     settings = load(write(tmp_path, text)).settings
     assert settings.calibration == str(tmp_path / "c.npz")

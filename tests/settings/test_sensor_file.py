@@ -28,8 +28,12 @@ def test_the_least_that_must_be_said_and_its_defaults(tmp_path: Path) -> None:
 
 def test_everything_that_can_be_said(tmp_path: Path) -> None:
     text = LEAST.replace("bright", "dark") + (
-        "camera_distance_mm: 14\nalpha: 3\nbinarisation: otsu\nflange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n"
-        "visible_circle: {row_px: 240.5, col_px: 310, radius_px: 205}\nprint: {pin_length_mm: 3.1, pitch_mm: 2}\n"
+        "camera_distance_mm: 14\n"
+        "alpha: 3\n"
+        "binarisation: otsu\n"
+        "flange_T_sensor: [1, -2, 30.5, 0, 0.6, 0.8, 0]\n"
+        "visible_circle: {row_px: 240.5, col_px: 310, radius_px: 205}\n"
+        "print: {pin_length_mm: 3.1, pitch_mm: 2}\n"
     )
     sensor = read_sensor(sensor_file(tmp_path, text))
     assert sensor == Sensor(
@@ -113,7 +117,10 @@ def test_where_the_sensor_is_on_the_flange_is_seven_numbers(
 ) -> None:
     path = tmp_path / "SENSOR.yaml"
     path.write_text(
-        f"flange_T_sensor: {given}\nskin_radius_mm: 20\nvisible_half_angle_deg: 50\npolarity: bright\n"
+        f"flange_T_sensor: {given}\n"
+        "skin_radius_mm: 20\n"
+        "visible_half_angle_deg: 50\n"
+        "polarity: bright\n"
     )
     with pytest.raises(ConfigError) as caught:
         read_sensor(path)
@@ -159,7 +166,10 @@ def test_a_dome_states_its_half_angle_or_the_radius_of_its_visible_circle(tmp_pa
         ),
         (
             LEAST + "camera_distance_mm: -13\n",
-            r":4: camera_distance_mm: found -13, expected a lens behind the visible circle, above -12\.9",
+            (
+                r":4: camera_distance_mm: found -13, expected a lens behind the visible circle, "
+                r"above -12\.9"
+            ),
         ),
     ],
 )

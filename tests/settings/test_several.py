@@ -246,7 +246,10 @@ def test_a_number_that_yaml_reads_in_its_own_way_is_refused(
 ) -> None:
     path = tmp_path / "any.yaml"
     path.write_text(text.format(number))
-    expected = f"found {number}, which YAML reads as {meant}, expected a plain decimal number, or quotes around text"
+    expected = (
+        f"found {number}, which YAML reads as {meant}, expected a plain decimal number, "
+        "or quotes around text"
+    )
     with pytest.raises(ConfigError) as refused:
         read(path)
     assert expected in str(refused.value)

@@ -51,8 +51,8 @@ def pull(h: F32, mass: float) -> F32:
 
 @pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
 def test_the_traction_is_the_difference_of_two_pressures(friction: float) -> None:
-    # Ciavarella's and Jäger's theorem: what a ball drags by `shift` is `friction` times what is between its indentation
-    # and one that is less deep by shift / friction.
+    # Ciavarella's and Jäger's theorem: what a ball drags by `shift` is `friction` times what is
+    # between its indentation and one that is less deep by shift / friction.
     obstacle, mass, shift = flat_problem(80.0, 4.0), np.full((141, 141), 0.05, np.float32), 1.5
     deep = solve(np.maximum(obstacle, 0), mass)
     shallow = solve(np.maximum(obstacle - shift / friction, 0), mass)
@@ -170,9 +170,16 @@ def test_what_is_drawn_is_what_is_true() -> None:
     decay_mm=st.floats(1.0, 15.0),
 )
 def test_no_drag_folds_the_skin_or_moves_it_further_than_the_object(
-    name: str, x_mm: float, depth_mm: float, drag_x_mm: float, drag_y_mm: float, twist_deg: float,
-    coulomb: float, sway: float, decay_mm: float,
-) -> None:  # fmt: skip
+    name: str,
+    x_mm: float,
+    depth_mm: float,
+    drag_x_mm: float,
+    drag_y_mm: float,
+    twist_deg: float,
+    coulomb: float,
+    sway: float,
+    decay_mm: float,
+) -> None:
     model = SensorModel(coulomb=coulomb, sway=sway, drag_decay_mm=decay_mm)
     press = Press(
         OBJECTS[name](),
@@ -194,6 +201,7 @@ def test_no_drag_folds_the_skin_or_moves_it_further_than_the_object(
     area = np.gradient(x, skin.step_mm, axis=1) * np.gradient(y, skin.step_mm, axis=0)
     area -= np.gradient(x, skin.step_mm, axis=0) * np.gradient(y, skin.step_mm, axis=1)
     assert area.min() > 0.2
-    # The chart is up to a fifth larger than the skin; a turn moves what is far from its middle further.
+    # The chart is up to a fifth larger than the skin;
+    # a turn moves what is far from its middle further.
     most = math.hypot(drag_x_mm, drag_y_mm) + abs(math.radians(twist_deg)) * 26
     assert np.linalg.norm(skin.origin_mm, axis=-1).max() <= 1.6 * most + 1e-3

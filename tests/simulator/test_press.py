@@ -128,7 +128,8 @@ def test_the_scan_covers_the_pad_at_one_depth() -> None:
 
 
 def test_the_skin_meets_what_lies_under_it() -> None:
-    # Over the middle of the widest fence, tilted a little: the deepest place is the tip's, less the tilt's part.
+    # Over the middle of the widest fence, tilted a little:
+    # the deepest place is the tip's, less the tilt's part.
     pose = pads.about_apex(
         from_seven((71.1, 22.0, pads.BULGE_HEIGHT_MM - 2.0 + RADIUS_MM, 0, 1, 0, 0)),
         turn((0.05, 0, 0)),

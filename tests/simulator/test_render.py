@@ -62,7 +62,8 @@ def test_projection_meets_the_formula_of_the_pinhole() -> None:
 
 
 def test_a_lone_marker_is_drawn_where_its_projection_is() -> None:
-    # Pins out of the way and small markers: each blob's centre is where the formula puts the marker.
+    # Pins out of the way and small markers: each blob's centre is where the formula puts the
+    # marker.
     model = replace(
         MODEL,
         pin_tip_radius_pitches=0.02,
@@ -156,7 +157,8 @@ def test_extreme_presses_have_finite_truth(
     try:
         frame = small_sensor.frame((Press(OBJECTS[name](), x_mm, y_mm, depth_mm),))
     except ValueError as error:
-        assert depth_mm == 8.0, error  # noqa: PT017 - only deep presses beside the apex reach the middle
+        # Only deep presses beside the apex reach the middle.
+        assert depth_mm == 8.0, error  # noqa: PT017
         return
     truth = frame.truth()
     disc = model.geometry.disc

@@ -21,7 +21,9 @@ R_MM, DECAY_MM = 20.0, 2.2
 
 
 def complementarity_residual_mm(skin: Skin, decay_mm: float) -> F64:
-    """min(h - obstacle, net pull / diagonal) at the inner nodes: 0 everywhere at the exact solution."""
+    """min(h - obstacle, net pull / diagonal) at the inner nodes:
+    0 everywhere at the exact solution.
+    """
     h = skin.height_mm.astype(np.float64)
     mass = (
         mass_weight(skin.radius_mm, skin.step_mm, h.shape[0] // 2)[1:-1, 1:-1]
@@ -50,7 +52,8 @@ def test_a_ball_at_the_apex_is_as_deep_as_it_was_pressed(depth_mm: float) -> Non
 
 @pytest.mark.parametrize("decay_mm", [1.5, 3.0])
 def test_skirt_decays_over_the_given_length(decay_mm: float) -> None:
-    # A ridge along x, far longer than the decay: across it the membrane is one-dimensional, h ~ exp(-y / λ).
+    # A ridge along x, far longer than the decay:
+    # across it the membrane is one-dimensional, h ~ exp(-y / λ).
     ridge = Shape("ridge", lambda p: np.hypot(p[:, 1], p[:, 2] - 0.5) - 0.5)
     skin = press_skin(R_MM * 3, decay_mm, [Press(ridge, 0.0, 0.0, 1.0)])
     y = np.array([3.0, 3.0 + decay_mm])
@@ -80,7 +83,8 @@ def test_any_press_gives_a_finite_skin_outside_the_object(
     try:
         skin = press_skin(R_MM, DECAY_MM, [press])
     except ValueError as error:
-        assert "reaches the sensor's centre" in str(error)  # noqa: PT017 - only some presses may be refused
+        # Only some presses may be refused.
+        assert "reaches the sensor's centre" in str(error)  # noqa: PT017
         assert distance_mm([press], R_MM, np.zeros((1, 3)))[0] < 0.1 * R_MM
         return
     assert np.isfinite(skin.height_mm).all()

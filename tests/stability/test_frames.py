@@ -1,4 +1,6 @@
-"""Frames that no sensor makes, through every profile: finite, inside the skin, the same twice, fit for the wire."""
+"""Frames that no sensor makes, through every profile:
+finite, inside the skin, the same twice, fit for the wire.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Frame, Pola
 
 @dataclass(frozen=True)
 class Size:
-    """A painted sensor's; the pattern of the larger is coarse enough for the profiles that halve their images."""
+    """A painted sensor's; the pattern of the larger is coarse enough for the profiles
+    that halve their images.
+    """
 
     rows: int
     cols: int
@@ -37,7 +41,9 @@ class Size:
         return np.ascontiguousarray(maker(self.rows, self.cols))
 
     def blended(self, part: float, maker: Maker, where: float) -> U8:
-        """The reference with an extreme over it, wholly or in part, in a patch (radii): what a check may pass."""
+        """The reference with an extreme over it, wholly or in part, in a patch (radii):
+        what a check may pass.
+        """
         reference = self.image().astype(np.float64)
         row, col = np.ogrid[: self.rows, : self.cols]
         here = np.hypot(row - self.disc.row_c, col - self.disc.col_c) < where * self.disc.radius_px
@@ -98,7 +104,9 @@ def test_every_extreme_frame_is_borne(profile: str, polarity: Polarity) -> None:
 
 @cache
 def always_asked(profile: str) -> Reconstructor:
-    """With a gate that opens at any change, so that every frame that passes the check reaches the solver."""
+    """With a gate that opens at any change, so that every frame
+    that passes the check reaches the solver.
+    """
     made = make_reconstructor(
         calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile]
     )

@@ -1,4 +1,6 @@
-"""An honest gate: what is no contact gives none, on sensors that brighten and sensors that darken, in every profile."""
+"""An honest gate: what is no contact gives none, on sensors that brighten and sensors that darken,
+in every profile.
+"""
 
 from __future__ import annotations
 

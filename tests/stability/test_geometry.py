@@ -1,5 +1,5 @@
-"""Images of any size, discs cut by the border, of a few pixels or none, and every length, angle, α and factor that may
-be stated: what can be measured is, what cannot is refused, nothing breaks.
+"""Images of any size, discs cut by the border, of a few pixels or none, and every length, angle, α
+and factor that may be stated: what can be measured is, what cannot is refused, nothing breaks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The shipped networks on whites that no frame has: finite, bounded, the same twice, and whoever runs them."""
+"""The shipped networks on whites that no frame has:
+finite, bounded, the same twice, and whoever runs them.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,8 @@ def test_every_extreme_white_gives_an_answer(name: str) -> None:
             tops.append(float(answer.height_mm.max()))
             logits.append(float(np.abs(answer.contact_logit).max()))
     print(
-        f"figure: {name} on whites that no frame has: heights up to {max(tops):.1f} mm on a skin of 20 mm"
+        f"figure: {name} on whites that no frame has: "
+        f"heights up to {max(tops):.1f} mm on a skin of 20 mm"
     )
 
 

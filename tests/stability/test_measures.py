@@ -1,4 +1,6 @@
-"""Heights that no solver should give, split, described and put on rays that graze the skin; fits of odd presses."""
+"""Heights that no solver should give, split, described and put on rays that graze the skin;
+fits of odd presses.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,8 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
             np.linalg.norm(points.astype(np.float64), axis=-1)[inside] <= radius_mm * (1 + 1e-6)
         ).all()
         expected, square = precise_points(height, rays, geometry)
-        # A ray that grazes the deformed skin meets it anywhere along the root of the square's last digits.
+        # A ray that grazes the deformed skin meets it anywhere along the root
+        # of the square's last digits.
         root = np.sqrt(np.maximum(square, 0)) / radius_mm
         bound = np.minimum(SQUARE_BOUND / np.maximum(root, 1e-9) + 5e-7, np.sqrt(SQUARE_BOUND))
         error = np.linalg.norm(points - expected, axis=-1) / radius_mm
@@ -122,7 +125,8 @@ def test_points_are_those_of_more_digits(distance_mm: float | None) -> None:
         assert np.isfinite(area).all()
         assert (area >= 0).all()
     print(
-        f"figure: eq. 2, lens {distance_mm} mm away: a point not grazed at most {worst:.0e} skin radii off"
+        f"figure: eq. 2, lens {distance_mm} mm away: "
+        f"a point not grazed at most {worst:.0e} skin radii off"
     )
 
 

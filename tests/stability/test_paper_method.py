@@ -1,4 +1,6 @@
-"""Where the paper's method breaks, and why: the claims of numerics.md, each by its own plain code and a figure."""
+"""Where the paper's method breaks, and why: the claims of numerics.md,
+each by its own plain code and a figure.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ FLATS = {
 
 @pytest.mark.parametrize("name", FLATS)
 def test_the_derivative_of_eq_12_is_zero_nearly_everywhere(name: str) -> None:
-    """F' = (p + q) / (1 + p² + q²)^1.5 of the light from the camera: 0 on flats, and wherever p = -q."""
+    """F' = (p + q) / (1 + p² + q²)^1.5 of the light from the camera:
+    0 on flats, and wherever p = -q.
+    """
     image = FLATS[name]
     part = float(np.mean(backward(image, 1) + backward(image, 0) == 0))
     print(f"figure: f' of eq. 12 is exactly 0 in {100 * part:.0f} % of a {name}")
@@ -77,7 +81,8 @@ def test_the_published_iteration_ends_as_a_scaled_copy_of_the_grey_image() -> No
     like = {n: float(np.corrcoef(after(n)[inside], smooth)[0, 1]) for n in (0, 1, 2, 5, 25, 100)}
     for n, r in like.items():
         print(
-            f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to {after(n)[inside].max():.1e}"
+            f"figure: eq. 11, a press, {n} iterations: r = {r:.3f} with g_hn, |Z| up to "
+            f"{after(n)[inside].max():.1e}"
         )
     assert like[25] > 0.99
     assert like[100] > like[25]
@@ -95,14 +100,17 @@ def test_without_a_gate_noise_becomes_a_full_height_object() -> None:
     height = hybrid_depth(seen, 3.0, HybridIteration(seen.inside.shape)).height_mm
     change, true_change = (float(np.abs(m.g_d[m.inside]).max()) for m in (seen, maps()))
     print(
-        f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): {height.max():.1f} mm of 3"
+        f"figure: no contact, g_d within {change:.1f} levels (a press: {true_change:.0f}): "
+        f"{height.max():.1f} mm of 3"
     )
     assert change < 0.25 * true_change
     assert height.max() == pytest.approx(3.0)
 
 
 def test_the_grey_of_the_untouched_skin_is_not_the_shading_of_a_flat() -> None:
-    """Eq. 12 wants g_hn to be R, which is 1 where the surface is flat and untouched; g_hn is low there."""
+    """Eq. 12 wants g_hn to be R, which is 1 where the surface is flat and untouched;
+    g_hn is low there.
+    """
     grey, inside = press()
     untouched = float(np.median(grey[inside]))
     print(

@@ -1,5 +1,5 @@
-"""Every method, its denoising and the white ratio before it on maps that no sensor gives: finite, within their range,
-near float64, the same twice; and ten thousand iterations.
+"""Every method, its denoising and the white ratio before it on maps that no sensor gives: finite,
+within their range, near float64, the same twice; and ten thousand iterations.
 """
 
 from __future__ import annotations
@@ -92,11 +92,13 @@ def test_ten_thousand_iterations_of_the_paper_stay_finite(name: str) -> None:
         z, repaired = hybrid_sfs(grey, iterations)
         assert np.isfinite(z).all()
         assert repaired == 0
-        # Where f' is 0, which is nearly everywhere, an iteration adds f / eps, and |f| is at most 1.
+        # Where f' is 0, which is nearly everywhere, an iteration adds f / eps,
+        # and |f| is at most 1.
         assert z.max() <= 1.01 * iterations / EPS
         tops.append(float(z.max()))
     print(
-        f"figure: eq. 11 at 64x64, {name}: greatest |Z| {tops[0]:.1e} after 25 iterations, {tops[1]:.1e} after 10,000"
+        f"figure: eq. 11 at 64x64, {name}: greatest |Z| {tops[0]:.1e} after 25 iterations, "
+        f"{tops[1]:.1e} after 10,000"
     )
 
 
@@ -165,7 +167,8 @@ def test_ten_thousand_iterations_stay_near_those_of_float64(
     )
     off = float(np.abs(found - precise).max())
     print(
-        f"figure: TV, weight {weight}, {name}, 10,000 iterations: {255 * off:.1e} grey levels from float64"
+        f"figure: TV, weight {weight}, {name}, 10,000 iterations: "
+        f"{255 * off:.1e} grey levels from float64"
     )
     assert off < LONG_BOUND
 

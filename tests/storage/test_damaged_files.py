@@ -1,4 +1,6 @@
-"""Files of every kind that we read, damaged: reading gives a value or one line, and what has a checksum reports it."""
+"""Files of every kind that we read, damaged: reading gives a value or one line,
+and what has a checksum reports it.
+"""
 
 from __future__ import annotations
 
@@ -127,10 +129,11 @@ WORDS = (
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of file: a good example (content by path below a folder), and how the program reads it as a value.
+    """A kind of file: a good example (content by path below a folder),
+    and how the program reads it as a value.
 
-    `damaged` are the files to damage, one at a time, the first one if empty; a `checked` one has a checksum, so that
-    damage never gives another value without a warning.
+    `damaged` are the files to damage, one at a time, the first one if empty; a `checked` one has a
+    checksum, so that damage never gives another value without a warning.
     """
 
     files: Files
@@ -201,13 +204,25 @@ TEXTS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         read_sensor,
     ),
     "INDENTERS.yaml": (
-        "small: {shape: ball, radius_mm: 3}\nflat: {shape: cylinder, radius_mm: 4, length_mm: 20}\n"
-        "square:\n  shape: box\n  length_mm: 6\n  width_mm: 5.5\nrod: {shape: bar, radius_mm: 2, length_mm: 14}\n"
-        "tip: {shape: cone, angle_deg: 90}\nown: {shape: mesh, file: own.stl}\n",
+        (
+            "small: {shape: ball, radius_mm: 3}\n"
+            "flat: {shape: cylinder, radius_mm: 4, length_mm: 20}\n"
+            "square:\n"
+            "  shape: box\n"
+            "  length_mm: 6\n"
+            "  width_mm: 5.5\n"
+            "rod: {shape: bar, radius_mm: 2, length_mm: 14}\n"
+            "tip: {shape: cone, angle_deg: 90}\n"
+            "own: {shape: mesh, file: own.stl}\n"
+        ),
         lambda path: sorted(read_indenters(path)),
     ),
     "PRESSES.csv": (
-        "image,indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\na.png,ball,4.5,2,1,-3,\na.png,ball,3,1.25,,,0\n",
+        (
+            "image,indenter,radius_mm,depth_mm,x_mm,y_mm,yaw_deg\n"
+            "a.png,ball,4.5,2,1,-3,\n"
+            "a.png,ball,3,1.25,,,0\n"
+        ),
         lambda path: [
             (p.radius_mm, p.depth_mm, p.x_mm, p.y_mm, p.yaw_deg) for p in read_presses(path)[0]
         ],
@@ -217,7 +232,11 @@ TEXTS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         lambda path: [p.base_T_flange.seven() for p in read_poses(path)],
     ),
     "labels.csv": (
-        "image,depth_mm,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\na.png,2.5,,,0.5,-1\na.png,,1,2,,\n",
+        (
+            "image,depth_mm,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\n"
+            "a.png,2.5,,,0.5,-1\n"
+            "a.png,,1,2,,\n"
+        ),
         lambda path: [dict(found.known) for found in read_labels(path, path.parent)],
     ),
     "pressed.csv": (
@@ -312,7 +331,9 @@ NAMES += ("recording", "MCAP")
 
 @st.composite
 def damage(draw: st.DrawFn, content: bytes, text: bool) -> bytes:
-    """Damage in one place: flipped bits, a cut, a hole, other bytes, an impossible number, or another word."""
+    """Damage in one place: flipped bits, a cut, a hole, other bytes, an impossible number,
+    or another word.
+    """
     at = draw(st.integers(0, len(content)) | st.integers(0, min(len(content), 200)))
     size = draw(st.integers(1, 64))
     way = draw(
@@ -353,7 +374,9 @@ def warnings_kept() -> Iterator[list[str]]:
 
 
 def read(kind: Kind, changed: Files) -> tuple[Any, list[str]]:
-    """Read files as the program does; the value is None and the last line is the error if it refuses them."""
+    """Read files as the program does; the value is None and the last line is the error
+    if it refuses them.
+    """
     with TemporaryDirectory(dir="/dev/shm") as name, warnings_kept() as lines:
         for path, content in (kind.files | changed).items():
             (Path(name) / path).parent.mkdir(parents=True, exist_ok=True)

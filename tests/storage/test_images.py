@@ -33,7 +33,10 @@ def test_values_of_ten_or_twelve_bits_in_16_are_refused(
     path = tmp_path / f"deep{suffix}"
     deep = PICTURE[:, :, 0].astype(np.uint16) << (bits - 8)
     cv2.imwrite(str(path), deep)
-    expected = f"found values up to {deep.max()} in 16-bit pixels, .*multiply {bits}-bit values by {factor}$"
+    expected = (
+        f"found values up to {deep.max()} in 16-bit pixels, "
+        f".*multiply {bits}-bit values by {factor}$"
+    )
     with pytest.raises(DecodeError, match=expected):
         read_image(path)
     cv2.imwrite(str(path), deep * factor)

@@ -74,7 +74,9 @@ def test_what_is_larger_than_it_can_be_is_not_unpacked(
     try:
         with pytest.raises(
             ConfigError,
-            match=r"c\.npz: the file is damaged or not a calibration; expected a file written by so",
+            match=(
+                r"c\.npz: the file is damaged or not a calibration; expected a file written by so"
+            ),
         ):
             read(tmp_path / "c.npz", data)
         assert tracemalloc.get_traced_memory()[1] < 2 << 20

@@ -60,7 +60,9 @@ def test_a_touch_of_unknown_depth_is_named_on_the_sheet() -> None:
 
 
 def raster(rows: int, cols: int) -> Raster:
-    """Heights that grow downwards, with a hole at (6, 6); 0.25 mm a cell, from x 10 and y -20 mm."""
+    """Heights that grow downwards, with a hole at (6, 6);
+    0.25 mm a cell, from x 10 and y -20 mm.
+    """
     z = np.linspace(-1, 1, rows * cols, dtype=np.float32).reshape(rows, cols)
     z[5:8, 5:8] = np.nan
     return Raster(z, 10.0, -20.0, 0.25)

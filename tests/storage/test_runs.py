@@ -137,8 +137,11 @@ def test_a_touch_is_numbers_with_their_deviations_and_why_one_is_missing() -> No
     assert record["touch"]["depth_mm"] == record["depth_max_mm"] > 0
     assert record["touch_sigma"]["depth_mm"] > 0
     assert (record["touch_reason"], record["touch_reason_code"]) == ("", "")
-    outside = Touch({"depth_mm": 1.23456, "force_z_n": None}, {"depth_mm": 0.01234, "force_z_n": None},
-                    Reason(ReasonCode.TOUCH_RANGE, "outside"))  # fmt: skip
+    outside = Touch(
+        {"depth_mm": 1.23456, "force_z_n": None},
+        {"depth_mm": 0.01234, "force_z_n": None},
+        Reason(ReasonCode.TOUCH_RANGE, "outside"),
+    )
     record = summary(replace(made, touch=outside))
     assert [record[key] for key in KEYS] == [
         {"depth_mm": 1.2346, "force_z_n": None},

@@ -1,4 +1,6 @@
-"""Boots systemd over a throw-away copy of this machine (tools/rig/boot_systemd.sh), and the wheels that it installs."""
+"""Boots systemd over a throw-away copy of this machine (tools/rig/boot_systemd.sh),
+and the wheels that it installs.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def cannot_boot() -> str:
 
 
 def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[str, Any]:
-    """What a script of tests/service saw; it has `folder` as /payload, and the Python at the path `python` there."""
+    """What a script of tests/service saw; it has `folder` as /payload,
+    and the Python at the path `python` there.
+    """
     parts = {
         f"tests/service/{scenario}": scenario,
         **{

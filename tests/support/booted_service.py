@@ -1,4 +1,7 @@
-"""What a scenario under a booted systemd uses to watch the service as a person would. Standard library only."""
+"""What a scenario under a booted systemd uses to watch the service as a person would.
+
+Standard library only.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from tools.testbed.patience import patience
 UNIT = "tacshade-edge.service"
 CONFIG = Path("/etc/tacshade-edge/config.yaml")
 PROPERTIES = (
-    "LoadState,ActiveState,SubState,Result,MainPID,NRestarts,ExecMainStatus,StatusText,MemoryMax,MemoryCurrent,UID,"
-    "WatchdogUSec,WatchdogTimestampMonotonic"
+    "LoadState,ActiveState,SubState,Result,MainPID,NRestarts,ExecMainStatus,StatusText,"
+    "MemoryMax,MemoryCurrent,UID,WatchdogUSec,WatchdogTimestampMonotonic"
 )
 PTRACE_SEIZE, PTRACE_INTERRUPT, PTRACE_DETACH, WALL = 0x4206, 0x4207, 17, 0x40000000
 
@@ -38,7 +41,9 @@ def show() -> dict[str, str]:
 
 
 def until(condition: Callable[[dict[str, str]], bool], seconds: float) -> dict[str, str]:
-    """The service's properties when the condition holds, or after so long on this machine: the judge sees which."""
+    """The service's properties when the condition holds, or after so long on this machine:
+    the judge sees which.
+    """
     began = time.monotonic()
     deadline = began + patience(seconds)
     while not condition(now := show()) and time.monotonic() < deadline:
@@ -71,7 +76,9 @@ def journal() -> str:
 
 
 def report(*steps: Callable[[], object]) -> None:
-    """Take the steps; what each saw, and the journal, to /payload/seen.json for the tests that judge."""
+    """Take the steps; what each saw, and the journal,
+    to /payload/seen.json for the tests that judge.
+    """
     seen: dict[str, Any] = {}
     for step in steps:
         began = time.monotonic()

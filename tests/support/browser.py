@@ -13,7 +13,8 @@ from selenium.webdriver.chrome.service import Service
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 
-# No sandbox, since tests may run as root in a container; WebGL without a graphics card; nothing called outside.
+# No sandbox, since tests may run as root in a container; WebGL without a graphics card;
+# nothing called outside.
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -54,7 +55,9 @@ def browser(
 
 
 def errors(driver: webdriver.Chrome) -> list[str]:
-    """The page's errors and warnings since the last call, including those of the security policy."""
+    """The page's errors and warnings since the last call,
+    including those of the security policy.
+    """
     reported = [
         f"{e['level']} {e['message']}"
         for e in driver.get_log("browser")
@@ -66,7 +69,9 @@ def errors(driver: webdriver.Chrome) -> list[str]:
 
 
 def errors_of_the_page(driver: webdriver.Chrome) -> list[str]:
-    """`errors` except the browser's own: it complains of each attempt to reach a server that has ended."""
+    """`errors` except the browser's own: it complains of each attempt to reach a server
+    that has ended.
+    """
     own = (
         "WebSocket is already in CLOSING or CLOSED state",
         "/favicon.svg - Failed to load resource",

@@ -16,7 +16,9 @@ SPREAD = 1.16
 def marked(
     height_px: int, width_px: int, pitch_px: float, disc: Disc, *, pressed_px: float = 0.0
 ) -> U8:
-    """Bright round markers on dark ground, with soft edges; larger and spread within `pressed_px` of its middle."""
+    """Bright round markers on dark ground, with soft edges;
+    larger and spread within `pressed_px` of its middle.
+    """
     rows, cols = np.ogrid[:height_px, :width_px]
     pressed = np.hypot(rows - disc.row_c, cols - disc.col_c) < pressed_px
     spread = np.where(pressed, 1 / SPREAD, 1.0)
@@ -44,7 +46,9 @@ def built_calibration(
     alpha: float = 15.0,
     noise_grey: float = 0.5,
 ) -> Calibration:
-    """As `calibrate` would make it of `reference` (`marked` where not given); the disc fills the image's short side."""
+    """As `calibrate` would make it of `reference` (`marked` where not given);
+    the disc fills the image's short side.
+    """
     disc = disc or Disc((height_px - 1) / 2, (width_px - 1) / 2, 0.45 * min(height_px, width_px))
     pitch_px = pitch_px or max(disc.radius_px / 10, 2.0)
     grey = marked(height_px, width_px, pitch_px, disc) if reference is None else reference

@@ -96,7 +96,9 @@ PIN_LENGTH_MM = 3.04
 
 @cache
 def found_prints() -> list[Found]:
-    """The prints that `calibrate --fit` finds in `HALF`'s reference, their pins' length stated (ten seconds)."""
+    """The prints that `calibrate --fit` finds in `HALF`'s reference,
+    their pins' length stated (ten seconds).
+    """
     from tacshade_edge.fitting.identify import identify
 
     stated = {"pin_length_mm": PIN_LENGTH_MM}

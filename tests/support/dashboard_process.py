@@ -1,4 +1,6 @@
-"""The dashboard as its users run it: a child process that prints its address and must stop cleanly."""
+"""The dashboard as its users run it: a child process that prints its address
+and must stop cleanly.
+"""
 
 from __future__ import annotations
 

@@ -7,8 +7,9 @@ import os
 from hypothesis import settings
 
 AT_DESK, IN_CI = 100, 30
-"""Where CI is set, as `make check` does, the examples are the same in every run and judge a change; the desk looks for
-news with more."""
+"""Where CI is set, as `make check` does, the examples are the same in every run and judge a change;
+the desk looks for news with more.
+"""
 
 
 def at_most(desk: int) -> int:

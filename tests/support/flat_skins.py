@@ -14,7 +14,9 @@ def pad(lens_mm: float | None, radius_mm: float = 15.0) -> Geometry:
 
 
 def dome_like(flat: Geometry, r_mm: float) -> Geometry:
-    """The dome of radius r whose visible circle is as large and as far from the lens as the pad's."""
+    """The dome of radius r whose visible circle is as large and as far from the lens
+    as the pad's.
+    """
     half = math.asin(flat.visible_radius_mm / r_mm)
     d = flat.camera_distance_mm
     lens = None if d is None else d - r_mm * math.cos(half)

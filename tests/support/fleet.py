@@ -1,4 +1,6 @@
-"""Boards' brokers that send to a central one over TLS, with the files of ``config/fleet``, on loopback."""
+"""Boards' brokers that send to a central one over TLS, with the files of ``config/fleet``,
+on loopback.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def certify(folder: Path, stem: str, name: str, *words: str) -> None:
 
 
 def central(folder: Path) -> ConfiguredBroker:
-    """The central broker; boards connect to `port`, the user `USER` to the port of `people_port`."""
+    """The central broker; boards connect to `port`,
+    the user `USER` to the port of `people_port`.
+    """
     certify(folder, "ca", "fleet")
     certify(
         folder,
@@ -86,7 +90,9 @@ def people_port(folder: Path) -> int:
 
 
 def board(folder: Path, name: str, central_port: int) -> ConfiguredBroker:
-    """A board's broker, for this machine only, which sends to the central one with its own certificate."""
+    """A board's broker, for this machine only, which sends to the central one
+    with its own certificate.
+    """
     certify(folder, name, name, *["-CA", "ca.pem", "-CAkey", "ca.key"])
     text = (
         (FILES / "board.conf").read_text().replace("/etc/mosquitto/fleet/board", str(folder / name))
@@ -100,7 +106,9 @@ def board(folder: Path, name: str, central_port: int) -> ConfiguredBroker:
 
 
 class CentralClient:
-    """A client of the central broker: the user `USER`, or a board (`name`) by its certificate from a folder."""
+    """A client of the central broker: the user `USER`,
+    or a board (`name`) by its certificate from a folder.
+    """
 
     def __init__(
         self,

@@ -1,11 +1,13 @@
-"""The golden presses: every object once, and what each profile makes of them; pages of results stand on them.
+"""The golden presses: every object once, and what each profile makes of them;
+pages of results stand on them.
 
 After a change that is meant to move the figures::
 
     PYTHONPATH=tests .venv/bin/python -m support.golden_profiles
 
-writes tests/golden/profiles anew, a file for the simulator and each profile; look at the diff before committing it.
-Pages of docs/results that have such a profile are stale then: see tools/results.py.
+writes tests/golden/profiles anew, a file for the simulator and each profile; look at the diff
+before committing it. Pages of docs/results that have such a profile are stale then: see
+tools/results.py.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ DEPTHS_MM = (1.0, 1.5, 2.0)
 FARTHEST_MM = 2.5
 SEED = 6100
 FEW = 4
-"""Of so many presses each, `paper` sees the first alone: it takes as long as the others together."""
+"""Of so many presses each, `paper` sees the first alone:
+it takes as long as the others together.
+"""
 
 
 def presses() -> Iterator[tuple[str, SimulatedFrame]]:

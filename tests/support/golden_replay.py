@@ -1,4 +1,5 @@
-"""The golden replay: 200 small simulated frames, and what the pipeline made of them when it was last looked at.
+"""The golden replay: 200 small simulated frames,
+and what the pipeline made of them when it was last looked at.
 
 After a change that is meant to move the figures::
 

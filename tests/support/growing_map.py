@@ -1,4 +1,6 @@
-"""Revisions of a map as a stitching session makes them, from presses on the simulated pad without reconstruction."""
+"""Revisions of a map as a stitching session makes them,
+from presses on the simulated pad without reconstruction.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ RADIUS_MM = 6.0
 
 
 class GrowingMap:
-    """A session whose presses each touch a disc of the pad exactly; the pad's corner lies at x, y in the base frame."""
+    """A session whose presses each touch a disc of the pad exactly;
+    the pad's corner lies at x, y in the base frame.
+    """
 
     def __init__(
         self, publish: Callable[[str, bytes], None], name: str, x_mm: float = 0.0, y_mm: float = 0.0

@@ -1,4 +1,6 @@
-"""A family of one sensor whose camera has half the resolution, so that a study on it takes seconds."""
+"""A family of one sensor whose camera has half the resolution,
+so that a study on it takes seconds.
+"""
 
 from __future__ import annotations
 

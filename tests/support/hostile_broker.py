@@ -46,7 +46,8 @@ BAD = b"".join(map(publish, BAD_TOPICS))
 
 
 class HostileBroker:
-    """It grants each subscription with `extra_codes` reason codes too many and sends `raw` after it.
+    """It grants each subscription with `extra_codes` reason codes too many and sends `raw`
+    after it.
 
     It ends a connection that publishes more than `bytes_max`, and answers others of QoS 1
     with `code`; with `echo`, it sends these back.

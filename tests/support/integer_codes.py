@@ -1,6 +1,7 @@
 """The codes of the integer graphs on sensors and images of extremes, which are the same everywhere.
 
-As a program, it prints the CRC-32 of each network's codes as JSON, as tests/golden/integers.json has them.
+As a program, it prints the CRC-32 of each network's codes as JSON,
+as tests/golden/integers.json has them.
 """
 
 from __future__ import annotations

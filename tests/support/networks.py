@@ -1,4 +1,6 @@
-"""Networks for tests: functions written down; the shipped ones, without integer graphs or read once; fitted ones."""
+"""Networks for tests: functions written down; the shipped ones,
+without integer graphs or read once; fitted ones.
+"""
 
 from __future__ import annotations
 

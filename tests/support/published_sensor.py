@@ -1,4 +1,6 @@
-"""A sensor without a daemon: publishes the daemon's messages, of any size and at any rate, from the caller's shapes."""
+"""A sensor without a daemon: publishes the daemon's messages, of any size and at any rate,
+from the caller's shapes.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ def unmeasured(seq: int, step_px: int = 4) -> Reconstruction:
 def dragged(
     result: Reconstruction, x_mm: float, y_mm: float, slip: Slip = Slip.STICK
 ) -> Reconstruction:
-    """The same contact, whose skin went along with it: as far as it is deep, by this at the deepest."""
+    """The same contact, whose skin went along with it:
+    as far as it is deep, by this at the deepest.
+    """
     height = result.height.height_mm
     part = height / np.nanmax(height) if result.contact else height
     shear = np.stack((x_mm * part, y_mm * part), axis=-1).astype(np.float32)

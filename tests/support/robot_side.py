@@ -14,7 +14,9 @@ from tools.testbed.patience import wait_until
 
 
 class Side:
-    """One sensor's side of the line, without camera and broker; without a link it follows another's."""
+    """One sensor's side of the line, without camera and broker;
+    without a link it follows another's.
+    """
 
     def __init__(self, link: Path | None, shared: SharedLine | None = None) -> None:
         self.requests: list[tuple[Request, Reply]] = []

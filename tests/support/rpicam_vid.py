@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""A stand-in for a Raspberry Pi's ``rpicam-vid``: the same arguments, the same two streams, the same words.
+"""A stand-in for a Raspberry Pi's ``rpicam-vid``:
+the same arguments, the same two streams, the same words.
 
-It writes what rpicam-apps' output/output.cpp and file_output.cpp write: a frame, flushed, then its metadata as lines of
-``Name=value`` and an empty one. `STAND_IN` in the environment, a JSON object, says what it does otherwise:
+It writes what rpicam-apps' output/output.cpp and file_output.cpp write: a frame, flushed, then its
+metadata as lines of ``Name=value`` and an empty one. `STAND_IN` in the environment, a JSON object,
+says what it does otherwise:
 
 frames : str       a .npy file of uint8 (N, H, W), shown one after the other, again and again
 count : int        ends after so many
@@ -13,7 +15,8 @@ extra_bytes : int  more (or fewer) in each frame
 records : bool     whether it describes frames
 says : str         written to its standard error before it ends with 255, at once
 stalls : int       after so many frames it writes nothing more
-behind : int       so many first frames come at once, then what it says of them, of the last one a little later
+behind : int       so many first frames come at once, then what it says of them,
+                   of the last one a little later
 """
 
 from __future__ import annotations

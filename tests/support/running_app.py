@@ -94,7 +94,9 @@ class Running:
 
 
 class Live:
-    """A broker, daemons on it whose cameras the test scripts, and what a subscriber hears of them."""
+    """A broker, daemons on it whose cameras the test scripts,
+    and what a subscriber hears of them.
+    """
 
     def __init__(
         self, folder: Path, broker: Broker, seen: Subscriber, calibration: Calibration

@@ -11,7 +11,9 @@ from support.calibrated_sensor import HALF, presses, references
 
 
 def write_files(folder: Path) -> list[str]:
-    """Write SENSOR.yaml, PRESSES.csv and their images; return the words that `calibrate` needs for them."""
+    """Write SENSOR.yaml, PRESSES.csv and their images;
+    return the words that `calibrate` needs for them.
+    """
     keys = {
         "skin_radius_mm": HALF.skin_radius_mm,
         "camera_distance_mm": HALF.camera_distance_mm,

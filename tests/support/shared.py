@@ -11,11 +11,17 @@ from typing import TypeVar
 
 Made = TypeVar("Made")
 folder: Path | None = None
-"""This run's folder, shared by all its workers; conftest.py sets it. Without one, each process makes everything."""
+"""This run's folder, shared by all its workers; conftest.py sets it.
+
+Without one, each process makes everything.
+"""
 
 
 def once_for_all_workers(name: str, make: Callable[[], Made]) -> Made:
-    """The result of `make`, under a unique `name`. Its arrays are read-only, also in the worker that made it."""
+    """The result of `make`, under a unique `name`.
+
+    Its arrays are read-only, also in the worker that made it.
+    """
     if folder is None:
         return make()
     path = folder / f"{hashlib.sha256(name.encode()).hexdigest()}.pickle"

@@ -38,11 +38,16 @@ FPS = 10
 def daemon(
     folder: Path, calibration: Path, port: int, sensor_id: str = "left-index", fps: int = FPS
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """The real daemon on the simulated sensor; it must exit cleanly unless the caller has killed it."""
+    """The real daemon on the simulated sensor; it must exit cleanly
+    unless the caller has killed it.
+    """
     config = folder / f"{sensor_id}.yaml"
     config.write_text(
-        f"sensor_id: {sensor_id}\ncalibration: {calibration}\nsource: {{kind: simulated, fps: {fps}}}\n"
-        f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: {folder / 'recordings'}}}\n"
+        f"sensor_id: {sensor_id}\n"
+        f"calibration: {calibration}\n"
+        f"source: {{kind: simulated, fps: {fps}}}\n"
+        f"mqtt: {{host: 127.0.0.1, port: {port}}}\n"
+        f"recorder: {{folder: {folder / 'recordings'}}}\n"
     )
     command = [sys.executable, "-m", "tacshade_edge", "run", "--config", str(config)]
     child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -88,7 +93,9 @@ def unfold_health(page: Chrome) -> None:
 
 
 def until_shown(page: Chrome, sensor: PublishedSensor, result: Callable[[], Any], seq: int) -> None:
-    """Publish until the result is on the screen: QoS is 0, and the page may still be subscribing."""
+    """Publish until the result is on the screen:
+    QoS is 0, and the page may still be subscribing.
+    """
 
     def again() -> bool:
         sensor.show(result())

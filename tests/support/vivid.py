@@ -10,7 +10,9 @@ NODE = "/dev/video0"
 UDEV = ("systemd-udevd-control.socket", "systemd-udevd-kernel.socket", "systemd-udevd.service")
 WEBCAM = ("node_types=0x1", "num_inputs=1", "input_types=0")
 FPS = 25
-"""What the driver gives at 640x480 when asked for more; it also has the lower ones of `kept_fps`."""
+"""What the driver gives at 640x480 when asked for more;
+it also has the lower ones of `kept_fps`.
+"""
 KEPT = ((35, FPS), (90, 10), (180, 5))
 """Up to so much slowness an emulated machine keeps up with so many frames a second."""
 
@@ -36,7 +38,9 @@ def load_driver(*options: str) -> None:
 
 
 def plug_webcam() -> None:
-    """Where all is emulated it takes seconds to load the driver: one on which nothing was changed stays."""
+    """Where all is emulated it takes seconds to load the driver:
+    one on which nothing was changed stays.
+    """
     if _untouched != WEBCAM:
         unload_driver()
         load_driver(*WEBCAM)

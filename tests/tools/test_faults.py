@@ -1,4 +1,6 @@
-"""A part of the fault bench that fits a test run; `python -m tools.faults` has the rest (reliability.md)."""
+"""A part of the fault bench that fits a test run;
+`python -m tools.faults` has the rest (reliability.md).
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,9 @@ from tools.training.random_solids import random_solid
 
 @pytest.fixture
 def described(monkeypatch: pytest.MonkeyPatch) -> list[Described]:
-    """Two sensors; touches of an object scatter little, but those of `stranger` are touches of `b`."""
+    """Two sensors; touches of an object scatter little,
+    but those of `stranger` are touches of `b`.
+    """
     monkeypatch.setattr(recognise, "SETS", {"some": (("a", "b", "c"), ("stranger", "far"))})
     metric = load_metric()
     random = np.random.default_rng(1)

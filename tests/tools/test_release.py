@@ -147,7 +147,8 @@ def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(
     assert "/blob/v71.2.3/docs/" in str(about.get_payload())
     assert "](docs/" not in str(about.get_payload())
 
-    # In an environment that sees this one's packages: nothing is downloaded, and what this one has installed stays.
+    # In an environment that sees this one's packages:
+    # nothing is downloaded, and what this one has installed stays.
     venv.create(tmp_path / "environment", symlinks=True)
     python = tmp_path / "environment/bin/python"
     packages = run(

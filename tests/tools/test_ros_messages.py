@@ -1,4 +1,6 @@
-"""The ROS 2 messages of tools/ros2, through another's definitions and serialisation (CDR): rosbags, without a ROS."""
+"""The ROS 2 messages of tools/ros2, through another's definitions and serialisation (CDR):
+rosbags, without a ROS.
+"""
 
 from __future__ import annotations
 

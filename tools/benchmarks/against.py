@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
-"""Compare the CPU time of a frame with that of another checkout of the project, in alternating rounds on one thread.
+"""Compare the CPU time of a frame with that of another checkout of the project,
+in alternating rounds on one thread.
 
 ::
 
     git worktree add /tmp/before c16ef09
-    .venv/bin/python -m tools.benchmarks.against /tmp/before [--rounds 20] [--frames 60] [--objects cube,ring]
+    .venv/bin/python -m tools.benchmarks.against /tmp/before
+        [--rounds 20] [--frames 60] [--objects cube,ring]
 
-The frames are 640x480 colour images of the simulated sensor, untouched and under a cube that covers a fifth of the
-disc, or under the named objects by turns, enlarged as much; each checkout makes its own calibration. ``contact``
-computes depth and cloud, ``shear`` adds shear, and ``everything`` adds the errors of depth and encodes all payloads
-except the touch, which older checkouts lack. Each figure is the median over rounds of a round's median (p50) or 99th
-percentile (p99); the ratio is the median of the rounds' ratios. Other work on the machine lengthens CPU time little.
+The frames are 640x480 colour images of the simulated sensor, untouched and under a cube that covers
+a fifth of the disc, or under the named objects by turns, enlarged as much; each checkout makes its
+own calibration. ``contact`` computes depth and cloud, ``shear`` adds shear, and ``everything`` adds
+the errors of depth and encodes all payloads except the touch, which older checkouts lack. Each
+figure is the median over rounds of a round's median (p50) or 99th percentile (p99); the ratio is
+the median of the rounds' ratios. Other work on the machine lengthens CPU time little.
 """
 
 from __future__ import annotations

@@ -1,24 +1,28 @@
-"""Measure the daemon from frames to decoded height maps at a subscriber, next to a null daemon that only publishes.
+"""Measure the daemon from frames to decoded height maps, next to a null daemon that only publishes.
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.daemon [--fps 60] [--seconds 20] [--runs 1] [--profile NAME] [--record]
+    .venv/bin/python -m tools.benchmarks.daemon [--fps 60] [--seconds 20]
+        [--runs 1] [--profile NAME] [--record]
 
-Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon (`null_daemon.py`), a
-subscriber that decodes, and this one, which reads the daemon's figures from /proc. The frames are a ring of pre-drawn
-640x480 grey images in memory (not counted in the memory figures); the null daemon publishes the results of the same
-images. In the rows
+Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon
+(`null_daemon.py`), a subscriber that decodes, and this one, which reads the daemon's figures from
+/proc. The frames are a ring of pre-drawn 640x480 grey images in memory (not counted in the memory
+figures); the null daemon publishes the results of the same images. In the rows
 
-- ``contact`` a ball goes in and out, pressed from the first frame on, and the subscriber takes every topic;
+- ``contact`` a ball goes in and out, pressed from the first frame on,
+  and the subscriber takes every topic;
 - ``free`` nothing touches;
 - ``unasked`` the ball goes in and out, and the subscriber takes only ``state`` and ``health``.
 
-Latency runs from the frame's time stamp to the end of the subscriber's decode; both read the same CLOCK_MONOTONIC.
-First map: from the start of the process to the end of the first decode. CPU: share of one core over all threads,
-without the first seconds. With several runs the rows take turns, and each figure is the best of its runs.
+Latency runs from the frame's time stamp to the end of the subscriber's decode; both read the same
+CLOCK_MONOTONIC. First map: from the start of the process to the end of the first decode. CPU: share
+of one core over all threads, without the first seconds. With several runs the rows take turns, and
+each figure is the best of its runs.
 
-With ``--record`` the rows are the daemon without a recording, with a pre-roll of 10 s, and recording to the folder for
-temporary files as a folder and as MCAP; the bench also prints what encoding a grey and a colour frame costs.
+With ``--record`` the rows are the daemon without a recording, with a pre-roll of 10 s, and
+recording to the folder for temporary files as a folder and as MCAP; the bench also prints what
+encoding a grey and a colour frame costs.
 """
 
 from __future__ import annotations
@@ -77,7 +81,9 @@ RECORD_ROWS = {
 
 
 def subscriber(port: int, warm_up: int, topics: str) -> None:
-    """Decode every height map; print latencies in ms and the last ``health`` once the daemon has stopped."""
+    """Decode every height map; print latencies in ms
+    and the last ``health`` once the daemon has stopped.
+    """
     arrived_ns: list[int] = []
     latencies: list[float] = []
     seqs: set[int] = set()
@@ -224,13 +230,19 @@ def encoding(folder: Path) -> str:
 
 
 def prepare(folder: Path, port: int, profile: str) -> None:
-    """Write images, calibration and settings, and for the null daemon the real daemon's results for the images."""
+    """Write images, calibration and settings, and for the null daemon the real daemon's results
+    for the images.
+    """
     draw_rings(folder)
     calibration_file.save(folder / "c.npz", make_calibration())
     for file, pre_roll_s in (("config", 0), ("pre_roll", 10)):
         (folder / f"{file}.yaml").write_text(
-            f"sensor_id: bench\nprofile: {profile}\ncalibration: c.npz\nsource: {{kind: simulated}}\n"
-            f"mqtt: {{host: 127.0.0.1, port: {port}}}\nrecorder: {{folder: recs, pre_roll_s: {pre_roll_s}}}\n"
+            "sensor_id: bench\n"
+            f"profile: {profile}\n"
+            "calibration: c.npz\n"
+            "source: {kind: simulated}\n"
+            f"mqtt: {{host: 127.0.0.1, port: {port}}}\n"
+            f"recorder: {{folder: recs, pre_roll_s: {pre_roll_s}}}\n"
         )
     calibration = calibration_file.load(folder / "c.npz")
     reconstructor, crc32 = make_reconstructor(calibration, PROFILES[profile]), calibration.crc32
@@ -290,8 +302,8 @@ def beside_null(results: dict[str, dict[str, Any]]) -> str:
     later_s = contact["first_map_s"] - null["first_map_s"]
     times, free_times = contact["cpu"] / null["cpu"], free["cpu"] / results["free, null"]["cpu"]
     return (
-        f"beside the null daemon: p50 {p50:+.1f} ms, p99 {p99:+.1f} ms, first map {later_s:+.2f} s, "
-        f"CPU {times:.1f} times, without contact {free_times:.1f} times"
+        f"beside the null daemon: p50 {p50:+.1f} ms, p99 {p99:+.1f} ms, first map {later_s:+.2f} "
+        f"s, CPU {times:.1f} times, without contact {free_times:.1f} times"
     )
 
 

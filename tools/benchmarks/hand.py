@@ -2,20 +2,24 @@
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20] [--profile NAME]
+    .venv/bin/python -m tools.benchmarks.hand [--sensors 5] [--fps 60] [--seconds 20]
+        [--profile NAME]
 
-It uses the ring of images, the null daemon and the broker of ``tools.benchmarks.daemon``: two of the sensors are
-pressed, nothing touches the others, and one subscriber takes ``TOPICS`` of all. In the rows
+It uses the ring of images, the null daemon and the broker of ``tools.benchmarks.daemon``: two of
+the sensors are pressed, nothing touches the others, and one subscriber takes ``TOPICS`` of all. In
+the rows
 
 - ``hand`` is ``run`` with one file for all sensors: a process for each, forked from one;
-- ``objects`` is the same with a ``hand_id``: one more process, and the subscriber takes its topic too;
+- ``objects`` is the same with a ``hand_id``: one more process, and the subscriber takes its
+  topic too;
 - ``apart`` is one command ``run`` for each sensor, with its own file, as under a template unit;
 - ``null`` is as many null daemons.
 
-Memory is the proportional set size (PSS) of all processes of a row, without the images that replace the camera: a page
-that five share is counted once. CPU is the sum over all processes as a share of one core, without the first seconds.
-For the hand's topic the bench reports the messages per second, the age of each message's newest frame when the message
-was decoded, and how much later that was than the decode of the finger's own height map of the same frame.
+Memory is the proportional set size (PSS) of all processes of a row, without the images that replace
+the camera: a page that five share is counted once. CPU is the sum over all processes as a share of
+one core, without the first seconds. For the hand's topic the bench reports the messages per second,
+the age of each message's newest frame when the message was decoded, and how much later that was
+than the decode of the finger's own height map of the same frame.
 """
 
 from __future__ import annotations
@@ -50,7 +54,9 @@ ROWS = ("hand", "objects", "apart", "null")
 
 
 def subscriber(port: int, names: list[str], topics: list[str]) -> None:
-    """Decode each message of the first topic; print latencies in ms and the last counts once all have stopped."""
+    """Decode each message of the first topic; print latencies in ms
+    and the last counts once all have stopped.
+    """
     latencies: dict[str, list[float]] = {name: [] for name in names}
     health: dict[str, Any] = {}
     own_ns: dict[tuple[str, int | None], int] = {}
@@ -99,10 +105,11 @@ def subscriber(port: int, names: list[str], topics: list[str]) -> None:
 def ages(
     messages: list[tuple[int, HandObjects]], own_ns: dict[tuple[str, int | None], int]
 ) -> tuple[list[float], list[float]]:
-    """Age in ms of the newest frame in each of the hand's messages, unless an earlier message already had it.
+    """Age in ms of the newest frame in each of the hand's messages,
+    unless an earlier message already had it.
 
-    `messages` have their decode time (CLOCK_MONOTONIC ns), `own_ns` that of the finger's own height map by finger and
-    frame. The second list is the time since that, where there is one.
+    `messages` have their decode time (CLOCK_MONOTONIC ns), `own_ns` that of the finger's own height
+    map by finger and frame. The second list is the time since that, where there is one.
     """
     ages_ms, later_ms, latest_ns = list[float](), list[float](), 0
     for at_ns, hand in messages:
@@ -135,7 +142,9 @@ def measure(
     pressed: int,
     topics: Sequence[str],
 ) -> dict[str, Any]:
-    """Run one row's daemons for the given seconds and return the figures; the latencies are the first topic's."""
+    """Run one row's daemons for the given seconds and return the figures;
+    the latencies are the first topic's.
+    """
     words = [
         sys.executable,
         "-m",
@@ -282,9 +291,11 @@ def main() -> int:
     print(markdown(head, rows))
     found = results["objects"]
     print(
-        f"\nobjects: {found['objects_per_s']:.0f} messages/s, the newest frame {found['objects_p50_ms']:.1f} ms (p50), "
-        f"{found['objects_p99_ms']:.1f} ms (p99) old, later than in its finger's own message by "
-        f"{found['later_p50_ms']:.1f} ms (p50), {found['later_p99_ms']:.1f} ms (p99)"
+        "\n"
+        f"objects: {found['objects_per_s']:.0f} messages/s, the newest frame "
+        f"{found['objects_p50_ms']:.1f} ms (p50), {found['objects_p99_ms']:.1f} ms (p99) old, "
+        f"later than in its finger's own message by {found['later_p50_ms']:.1f} ms (p50), "
+        f"{found['later_p99_ms']:.1f} ms (p99)"
     )
     return 0 if all(r["accounted"] for r in results.values()) else 1
 

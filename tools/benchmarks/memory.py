@@ -1,12 +1,13 @@
-"""Measure the daemon's memory: the command `run` as a service runs it, a broker, and images in place of a camera.
+"""Measure the daemon's memory: `run` as a service runs it, a broker, and images for a camera.
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.memory [--frames 600] [--fps 30] [--profile balanced] [--source files]
-        [--json FILE]
+    .venv/bin/python -m tools.benchmarks.memory [--frames 600] [--fps 30]
+        [--profile balanced] [--source files] [--json FILE]
 
-The daemon reads 640x480 images of a ball that goes in and out (drawn beforehand by this process), or draws them itself
-(``--source simulated``). This process reads its memory from /proc after a tenth, half and all of the frames:
+The daemon reads 640x480 images of a ball that goes in and out (drawn beforehand by this process),
+or draws them itself (``--source simulated``). This process reads its memory from /proc after a
+tenth, half and all of the frames:
 
 - resident: all its pages in memory (VmRSS); peak: the maximum so far (VmHWM);
 - own: anonymous pages (RssAnon), which the kernel cannot drop;
@@ -47,7 +48,9 @@ SLOWEST_FPS = 1.0  # the bench gives up on a slower daemon
 
 
 def owners_mb(pid: int) -> dict[str, float]:
-    """Resident MiB by mapped file; ``[anon]`` has no file: buffers, thread stacks, Python's objects."""
+    """Resident MiB by mapped file; ``[anon]`` has no file:
+    buffers, thread stacks, Python's objects.
+    """
     pages: Counter[str] = Counter()
     owner = ""
     for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
@@ -85,7 +88,10 @@ class Captured:
             self._news.set()
 
     def wait(self, count: int, daemon: subprocess.Popen[bytes]) -> None:
-        """Wait until the daemon has captured `count` frames. Raises SystemExit if it ends or is too slow."""
+        """Wait until the daemon has captured `count` frames.
+
+        Raises SystemExit if it ends or is too slow.
+        """
         deadline = time.monotonic() + 30 + count / SLOWEST_FPS
         while self.frames.get("captured", 0) < count:
             self._news.clear()

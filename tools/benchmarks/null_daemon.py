@@ -1,7 +1,7 @@
 """A daemon that publishes ready bytes and reconstructs nothing: it costs only Python and transport.
 
-``tools.benchmarks.daemon`` starts it: it has the link, ledger and frame rate of the real daemon, and publishes what the
-real one made from the same images, with each frame's own number and times.
+``tools.benchmarks.daemon`` starts it: it has the link, ledger and frame rate of the real daemon,
+and publishes what the real one made from the same images, with each frame's own number and times.
 """
 
 from __future__ import annotations

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""What `paper` costs at strides of 1, 2 and 4 px, how near eq. 11 in float32 is to complex128, and how wrong it is.
+"""What `paper` costs at strides of 1, 2 and 4 px, how near eq.
+11 in float32 is to complex128, and how wrong it is.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.paper [--sensors default,5,21] [--rounds 5]
 
-Processor time of single-threaded 640x480 frames in contact: the median over frames and rounds. *Off* compares
-heights of up to 3 mm with those of the published iteration (`tools.testbed.hybrid_sfs_oracle`) from the same g_hn;
-*rounding* is what the published iteration's own heights change by if g_hn is rounded differently to float32. ME
-(eq. 13) takes each press's own ratio as α.
+Processor time of single-threaded 640x480 frames in contact: the median over frames and rounds.
+*Off* compares heights of up to 3 mm with those of the published iteration
+(`tools.testbed.hybrid_sfs_oracle`) from the same g_hn; *rounding* is what the published iteration's
+own heights change by if g_hn is rounded differently to float32. ME (eq. 13) takes each press's own
+ratio as α.
 """
 
 from __future__ import annotations

@@ -1,14 +1,17 @@
 #!/usr/bin/env python3
-"""What a frame costs, stage by stage, compared with the least that any method needs: one threshold and one box filter.
+"""What a frame costs, stage by stage, compared with the least that any method needs:
+one threshold and one box filter.
 
 ::
 
-    .venv/bin/python -m tools.benchmarks.stages [--rounds 5] [--frames 200] [--profile fast accurate]
+    .venv/bin/python -m tools.benchmarks.stages [--rounds 5] [--frames 200]
+        [--profile fast accurate]
 
-The frames are 640x480 grey images in memory; use one thread of an idle machine. The floor is `cv2.threshold` and
-`cv2.boxFilter` uint8 to uint16 over the whole frame. Rounds of the floor, of frames without contact and of frames in
-contact take turns; each figure is the median over the rounds of a round's median (p50) or 99th percentile (p99). A
-stage's figure covers the frames that ran it.
+The frames are 640x480 grey images in memory; use one thread of an idle machine. The floor is
+`cv2.threshold` and `cv2.boxFilter` uint8 to uint16 over the whole frame. Rounds of the floor, of
+frames without contact and of frames in contact take turns; each figure is the median over the
+rounds of a round's median (p50) or 99th percentile (p99). A stage's figure covers the frames that
+ran it.
 """
 
 from __future__ import annotations

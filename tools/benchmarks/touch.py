@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""What a touch costs beyond depth and shear, by CPU time, with a model of labels as large as it can get.
+"""What a touch costs beyond depth and shear, by CPU time,
+with a model of labels as large as it can get.
 
 ::
 
     .venv/bin/python -m tools.benchmarks.touch [--rounds 40] [--frames 25] [--profile fast accurate]
 
-Rounds with and without the touch take turns on one thread; a figure is the median of the rounds, with its quartiles.
-The model's numbers are random: only their sizes cost time.
+Rounds with and without the touch take turns on one thread; a figure is the median of the rounds,
+with its quartiles. The model's numbers are random: only their sizes cost time.
 """
 
 from __future__ import annotations

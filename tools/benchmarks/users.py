@@ -4,10 +4,11 @@
 
     .venv/bin/python -m tools.benchmarks.users [--seconds 60]
 
-For each user, `tradeoff` prints the settings, and a daemon runs with them: every finger has a ring of images in memory,
-in which a ball goes in and out, and a subscriber decodes. What is promised is the time until the message is encoded;
-the measured one is the age of the decoded height map, or `contact`. Lost frames are superseded, failed, or dropped by
-the source; `hand.py` describes CPU and memory.
+For each user, `tradeoff` prints the settings, and a daemon runs with them: every finger has a ring
+of images in memory, in which a ball goes in and out, and a subscriber decodes. What is promised is
+the time until the message is encoded; the measured one is the age of the decoded height map, or
+`contact`. Lost frames are superseded, failed, or dropped by the source; `hand.py` describes CPU and
+memory.
 """
 
 from __future__ import annotations

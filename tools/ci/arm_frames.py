@@ -1,12 +1,16 @@
-"""The results of the same frames on this machine; ``tools/ci/run_arm.py`` runs it here and on the other machine.
+"""The results of the same frames on this machine;
+``tools/ci/run_arm.py`` runs it here and on the other machine.
 
 ::
 
-    arm_frames.py write FOLDER           calibration.npz, images.npy and images: a free skin, then presses
-    arm_frames.py reconstruct FOLDER OUT each profile's result of each image, to OUT.npz
-    arm_frames.py step FOLDER PROFILE IMAGE LAST PORT COUNT     the same frame so many times, to count instructions
+    arm_frames.py write FOLDER
+    arm_frames.py reconstruct FOLDER OUT
+    arm_frames.py step FOLDER PROFILE IMAGE LAST PORT COUNT
 
-LAST is the last stage that a frame goes through, of `STAGES`; PORT is that of a broker on this machine.
+``write`` makes calibration.npz, images.npy and images: a free skin, then presses. ``reconstruct``
+writes each profile's result of each image to OUT.npz. ``step`` takes the same frame COUNT times, to
+count instructions: LAST is the last stage that it goes through, of `STAGES`, PORT that of a broker
+on this machine.
 """
 
 from __future__ import annotations
@@ -85,7 +89,10 @@ STAGES: dict[str, Need] = {
     "encode": Need.SHEAR | Need.SIGMA,
     "publish": Need.SHEAR | Need.SIGMA,
 }
-"""Up to the gate; with depth, objects and cloud; and so on. `encode` makes all payloads, `publish` sends them."""
+"""Up to the gate; with depth, objects and cloud; and so on.
+
+`encode` makes all payloads, `publish` sends them.
+"""
 
 
 def step(folder: Path, profile: str, image: int, last: str, port: int, count: int) -> None:

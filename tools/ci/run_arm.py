@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""``make test-arm``: what runs on a board's processor, on QEMU's model of one, for both Pythons of boards.
+"""``make test-arm``: what runs on a board's processor, on QEMU's model of one,
+for both Pythons of boards.
 
 ::
 
     python3 -m tools.ci.run_arm [--python 3.11 3.13] [--skip-quick | --count-only]
 
-For each Python: the wheels of the lock, one frame after the other against this machine's, maps by the command of its
-Debian package, the quick tests (half an hour each: nothing is emulated fast). For one: the instructions of a frame, and
-what they would take on a Pi. Needs root; tools/rig/arm64.py says what else. Exit 1 when something failed.
+For each Python: the wheels of the lock, one frame after the other against this machine's, maps by
+the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast).
+For one: the instructions of a frame, and what they would take on a Pi. Needs root;
+tools/rig/arm64.py says what else. Exit 1 when something failed.
 """
 
 from __future__ import annotations
@@ -35,11 +37,13 @@ GIVEN = Path(".rig/arm")  # below the tree, which is another folder there
 PYTHONS = ("3.11", "3.13")
 WORKERS = str(os.cpu_count() or 1)
 HEIGHT_MAX_MM = {"paper": 0.01, "fast": 0.001, "balanced": 0.001, "accurate": 0.001}
-"""Between the two machines, of any cell: white and codes are the same, floats after them are not."""
+"""Between the two machines, of any cell: white and codes are the same,
+floats after them are not.
+"""
 WHITE_MAX_PART = 0.0
 COUNT = 5
-# Instructions a second of one core: its clock times what code like ours completes in a cycle, between a scalar loop
-# that waits and vector code that does not.
+# Instructions a second of one core: its clock times what code like ours completes in a cycle,
+# between a scalar loop that waits and vector code that does not.
 BOARDS = {
     "Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6),
     "Pi 5 (Cortex-A76, 2.4 GHz)": (2.4e9, 1.4, 2.8),
@@ -101,7 +105,9 @@ def same_frames(python: str) -> list[str]:
 
 
 def package(python: str) -> list[str]:
-    """The Debian package, unpacked as dpkg would: its command, by Debian's Python, in its own environment."""
+    """The Debian package, unpacked as dpkg would: its command, by Debian's Python,
+    in its own environment.
+    """
     debs = TREE / GIVEN / f"deb-{python}"
     words = ("--machine", "aarch64", "--python", python, "--level", "1", "--out", str(debs))
     subprocess.run(

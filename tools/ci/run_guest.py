@@ -5,7 +5,8 @@
 
     python3 -m tools.ci.run_guest [TEST...]
 
-Exits as pytest does, or with 77 or 125 as tools/rig/guest.py does. The results are in ``.rig/out/results.xml``.
+Exits as pytest does, or with 77 or 125 as tools/rig/guest.py does. The results are in
+``.rig/out/results.xml``.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ PYTEST = (
 
 
 def give() -> None:
-    """Write what a guest has no time to compute: a camera's images, its calibration, the depth that the core finds."""
+    """Write what a guest has no time to compute: a camera's images, its calibration,
+    the depth that the core finds.
+    """
     GIVEN.mkdir(parents=True, exist_ok=True)
     calibration = enlarged_calibration()
     calibration_file.save(GIVEN / "calibration.npz", calibration)

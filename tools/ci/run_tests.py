@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Run every stage of the tests in order, and report at the end what each ran, skipped (and why) and took.
+"""Run every stage of the tests in order, and report at the end what each ran,
+skipped (and why) and took.
 
 ::
 
     python3 -m tools.ci.run_tests [STAGE...]
 
-`make test` runs lint, tests and guest, `make check` lint and quick: the tests without a mark. A stage that fails does
-not keep the next from running. Exit 1 when one failed.
+`make test` runs lint, tests and guest, `make check` lint and quick: the tests without a mark. A
+stage that fails does not keep the next from running. Exit 1 when one failed.
 """
 
 from __future__ import annotations
@@ -25,10 +26,14 @@ from xml.etree import ElementTree
 TREE = Path(__file__).resolve().parents[2]
 PYTEST = (sys.executable, "-m", "pytest")
 WORKERS = str((os.cpu_count() or 1) + 1)
-"""One more than there are cores: every third test waits, for a broker, a second, a page. With two per core they are
-hardly faster (743 s, not 760), and those that read a clock may fail."""
+"""One more than there are cores: every third test waits, for a broker, a second, a page.
+
+With two per core they are hardly faster (743 s, not 760), and those that read a clock may fail.
+"""
 SPREAD = ("-n", WORKERS, "--dist", "worksteal")
-"""A worker has neighbouring tests, which share what a module makes, until it has nothing left to do."""
+"""A worker has neighbouring tests, which share what a module makes,
+until it has nothing left to do.
+"""
 QUICK = "not (broker or browser or container or fit or guest or node or slow)"
 ALL = "not guest and not container"
 ENVIRONMENT = {
@@ -36,13 +41,19 @@ ENVIRONMENT = {
 }
 """Tests are compiled once, not by each worker of each stage: 11 s of a core."""
 ENVIRONMENT |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
-"""As the program sets it for itself. Threads of several workers wait for each other at full speed: to learn from labels
-took 24 s of processor time with them and takes 8 s without."""
+"""As the program sets it for itself.
+
+Threads of several workers wait for each other at full speed: to learn from labels took 24 s of
+processor time with them and takes 8 s without.
+"""
 FEW_EXAMPLES = {"CI": "1"}
 """Of each property, the same in every run."""
 BESIDE = ("lint",)
-"""Run beside the rest, whose tests wait now and then; each shows its output when it is over. With the guest beside them
-all took 633 and 705 s on two cores, but tests that a clock hurries failed, of both stages."""
+"""Run beside the rest, whose tests wait now and then; each shows its output when it is over.
+
+With the guest beside them all took 633 and 705 s on two cores,
+but tests that a clock hurries failed, of both stages.
+"""
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, *SPREAD, "-m", QUICK, "--durations=5", "--durations-min=0.5"),
@@ -115,7 +126,8 @@ def main() -> int:
     print(f"all    {time.monotonic() - began_s:6.0f}")
     total = [sum(stage.passed for stage in stages), sum(stage.failed for stage in stages)]
     print(
-        f"{total[0]} passed, {total[1]} failed, {sum(stage.skipped.total() for stage in stages)} skipped"
+        f"{total[0]} passed, {total[1]} failed, "
+        f"{sum(stage.skipped.total() for stage in stages)} skipped"
     )
     return 0 if all(stage.ok for stage in stages) else 1
 

@@ -1,1 +1,3 @@
-"""The fault bench: faults of the daemon and its files, with the required outcomes (``python -m tools.faults``)."""
+"""The fault bench: faults of the daemon and its files,
+with the required outcomes (``python -m tools.faults``).
+"""

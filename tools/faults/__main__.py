@@ -7,8 +7,8 @@
     .venv/bin/python -m tools.faults kills [--count 200] [--seed 0]
     .venv/bin/python -m tools.faults soak [--seconds 3600]
 
-Each command prints a table and any problems, and exits with 1 if there are problems. `reliability.md` lists the
-promises.
+Each command prints a table and any problems, and exits with 1 if there are problems.
+`reliability.md` lists the promises.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""kill -9 at random moments: nothing acknowledged is lost, and every file has either its old or its new state.
+"""kill -9 at random moments: nothing acknowledged is lost,
+and every file has either its old or its new state.
 
-One daemon after another works on the same files: it records, takes presses, renews its reference and reloads its
-settings until it is killed.
+One daemon after another works on the same files: it records, takes presses, renews its reference
+and reloads its settings until it is killed.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ class Killed:
         self._finished: dict[Path, int] = {}
         self._original = calibration_file.load(cell.folder / "c.npz").crc32
         self._reference: int | None = self._original
-        """None while a reference is requested and not acknowledged: then it may have been stored or not."""
+        """None while a reference is requested and not acknowledged:
+        then it may have been stored or not.
+        """
 
     def one(self, draw: random.Random, longest_s: float) -> None:
         """Start a daemon, let it work for at most `longest_s`, kill it, and check its files."""
@@ -161,7 +164,8 @@ class Killed:
                     state = str(error)
             if found < presses:
                 self.problems.append(
-                    f"session {name}: {found} presses are there, {presses} were acknowledged: {state}"
+                    f"session {name}: {found} presses are there, {presses} were acknowledged: "
+                    f"{state}"
                 )
         # An abort or end that was done but not yet acknowledged is the new state, too.
         right = {
@@ -185,14 +189,17 @@ class Killed:
             finished is not None and (read != finished or not (folder / "recording.json").exists())
         ):
             self.problems.append(
-                f"recording {folder.name}: {read} frames are there, {finished or frames} were reported"
+                f"recording {folder.name}: {read} frames are there, "
+                f"{finished or frames} were reported"
             )
         self.said["frames read again"] += read
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def run(count: int, seed: int, longest_s: float = LONGEST_S) -> tuple[str, list[str]]:
-    """Kill `count` daemons, each at most `longest_s` after its first frame; return a table and the problems."""
+    """Kill `count` daemons, each at most `longest_s` after its first frame;
+    return a table and the problems.
+    """
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         cell.serve()
         killed = Killed(cell)

@@ -1,4 +1,6 @@
-"""The target of the faults: a daemon process with cheap frames, its broker, its log and its messages."""
+"""The target of the faults: a daemon process with cheap frames, its broker,
+its log and its messages.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
 
 FREE_FRAMES, TOUCHED_FRAMES = 32, 32
-"""At 60 frames a second, a contact comes to rest (0.3 s), and a reference fits between two contacts."""
+"""At 60 frames a second, a contact comes to rest (0.3 s),
+and a reference fits between two contacts.
+"""
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
 
@@ -48,8 +52,8 @@ def write_posed_images(folder: Path) -> None:
 class Seen:
     """What a fault cost, and where the daemon reported it.
 
-    `detected_s` is the time until it was reported (None: there is nothing to report), `recovered_s` from the fault's
-    end until the daemon worked again (None: nothing stops working).
+    `detected_s` is the time until it was reported (None: there is nothing to report), `recovered_s`
+    from the fault's end until the daemon worked again (None: nothing stops working).
     """
 
     lost: str
@@ -137,7 +141,9 @@ class Cell:
         streams: bool = True,
         environment: dict[str, str] | None = None,
     ) -> float:
-        """Start the daemon, if `streams` also the broker, and wait for frames; return the start's time in s."""
+        """Start the daemon, if `streams` also the broker, and wait for frames;
+        return the start's time in s.
+        """
         if streams and not self.seen.client.is_connected():
             self.serve()
         self._mark, began_s = len(self.log()), time.monotonic()
@@ -162,7 +168,9 @@ class Cell:
 
     @contextlib.contextmanager
     def second(self, line: str) -> Iterator[float]:
-        """Run another daemon on the same settings until its log contains `line`; yield the seconds that this took."""
+        """Run another daemon on the same settings until its log contains `line`;
+        yield the seconds that this took.
+        """
         began_s = time.monotonic()
         other = self.spawn(self.folder / "s.yaml", "other")
         try:
@@ -206,7 +214,9 @@ class Cell:
         return time.monotonic() - since_s
 
     def until(self, condition: Callable[[], object], seconds: float, what: str) -> float:
-        """Poll until the condition holds, and return the seconds; fail immediately if the daemon has ended."""
+        """Poll until the condition holds, and return the seconds;
+        fail immediately if the daemon has ended.
+        """
 
         def holds() -> object:
             assert self._daemon is None or self._daemon.poll() is None, (
@@ -258,7 +268,9 @@ class Cell:
         return answer
 
     def presses(self, count: int) -> int:
-        """Wait until a session has `count` presses of settled contacts; return how many were acknowledged."""
+        """Wait until a session has `count` presses of settled contacts;
+        return how many were acknowledged.
+        """
         self.until(
             lambda: self.last("status/stitching").get("presses", 0) >= count, 30, f"{count} presses"
         )

@@ -1,9 +1,10 @@
-"""A long run of a whole hand in which something is always wrong: is memory flat, and is every frame accounted for?
+"""A long run of a whole hand in which something is always wrong:
+is memory flat, and is every frame accounted for?
 
-Each of five fingers is a process that reads a ring of images drawn in advance. The broker restarts every `RESTART_S`,
-the fingers record in turn, and a robot fills one session after another until its map is full. A scraper reads
-Prometheus' page. One viewer reads everything that Foxglove's bridge offers; another reads nothing, disconnects without
-notice and reconnects.
+Each of five fingers is a process that reads a ring of images drawn in advance. The broker restarts
+every `RESTART_S`, the fingers record in turn, and a robot fills one session after another until its
+map is full. A scraper reads Prometheus' page. One viewer reads everything that Foxglove's bridge
+offers; another reads nothing, disconnects without notice and reconnects.
 """
 
 from __future__ import annotations
@@ -48,12 +49,16 @@ PERIODS_S = {
 }
 PLACES, PLACE_MM = 21, 48.0
 WARM_UP_S = 900.0
-"""Time until some sessions have ended and allocators keep the memory that they have; at most a quarter of the run."""
+"""Time until some sessions have ended and allocators keep the memory that they have;
+at most a quarter of the run.
+"""
 FLAT = 0.02
 
 
 def place(at_s: float) -> PoseValues:
-    """The robot's pose at a time: it visits the places of a square, which are further apart than a press is wide."""
+    """The robot's pose at a time: it visits the places of a square,
+    which are further apart than a press is wide.
+    """
     number = int(at_s / PERIODS_S["add"])
     return (
         number % PLACES * PLACE_MM,
@@ -129,7 +134,9 @@ class Soak:
         self.over.wait(15.0)  # so that all clients reconnect
 
     def view(self, url: str, reads: bool) -> None:
-        """Subscribe to everything that the bridge offers, and read it only if `reads`, until the run is over."""
+        """Subscribe to everything that the bridge offers, and read it only if `reads`,
+        until the run is over.
+        """
         who = "viewer" if reads else "viewer that reads nothing"
         while not self.over.is_set():
             with (
@@ -240,7 +247,8 @@ class Soak:
             self.resident_mb.setdefault(process, []).append((at_s, memory_mb(pid)["resident"]))
 
     def change(self, process: str) -> float:
-        """Relative change of a process's least memory, from the first half after the warm-up to the second.
+        """Relative change of a process's least memory,
+        from the first half after the warm-up to the second.
 
         A session's map comes and goes; a leak would add to the memory that remains without it.
         """
@@ -284,7 +292,8 @@ class Soak:
             name = re.sub(r" \d+$", f" {number}", process)
             most = max(mb for _, mb in sizes)
             rows.append(
-                f"| {name}: most MB, change of the least | {most:.0f}, {self.change(process):+.1%} |"
+                f"| {name}: most MB, change of the least | {most:.0f}, "
+                f"{self.change(process):+.1%} |"
             )
         return "\n".join(
             (*rows, f"| not accounted for, out of order, ended, grown | {len(self.problems)} |")

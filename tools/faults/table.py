@@ -152,7 +152,8 @@ def flood(cell: Cell) -> Seen:
     return Seen("requests over 16 that wait, refused as busy", where, None, answered_s)
 
 
-# The robot's line, the frames, the calibration and the settings; the guest tests a camera's own faults.
+# The robot's line, the frames, the calibration and the settings;
+# the guest tests a camera's own faults.
 
 
 def _robot(cell: Cell, faults: Faults | None = None) -> PtyRobot:
@@ -393,7 +394,9 @@ def flipped_bit(cell: Cell) -> Seen:
 
 @fault("two bits flipped in a recording as MCAP")
 def flipped_in_mcap(cell: Cell) -> Seen:
-    """The bits are in the first chunk and in a later chunk's length; the daemon was killed before."""
+    """The bits are in the first chunk and in a later chunk's length;
+    the daemon was killed before.
+    """
     cell.start()
     cell.record(frames=100, format="mcap")
     cell.kill()
@@ -520,7 +523,8 @@ def stopped_early(cell: Cell) -> Seen:
         pause(after_s)
         process.send_signal(signal.SIGTERM)
         codes.append(cell.ended(process))
-    # Before the program's first line, the kernel ends the process, and systemd counts this as a clean exit.
+    # Before the program's first line, the kernel ends the process,
+    # and systemd counts this as a clean exit.
     assert set(codes) <= {0, -signal.SIGTERM}, codes
     return Seen("nothing", f"exit codes {', '.join(map(str, codes))}")
 
@@ -529,7 +533,10 @@ HEAD = ("fault", "detected s", "recovered s", "lost", "reported where")
 
 
 def run_one(fault: Fault) -> tuple[str, ...]:
-    """Run a fault with a new daemon and broker; return its cells. Raises AssertionError if a promise is broken."""
+    """Run a fault with a new daemon and broker; return its cells.
+
+    Raises AssertionError if a promise is broken.
+    """
     with TemporaryDirectory() as name, Cell(Path(name) / "cell") as cell:
         seen = fault(cell)
     times = (

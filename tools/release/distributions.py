@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""``make dist``: the sdist and wheel of every distribution in this repository, as an index takes them.
+"""``make dist``: the sdist and wheel of every distribution in this repository,
+as an index takes them.
 
 ::
 
     .venv/bin/python -m tools.release.distributions [--out dist]
 
-It builds the last commit, never the working tree, and checks the results with ``twine check --strict``, which uv
-fetches. On an index a README has no files beside it: its relative links become links into the repository.
+It builds the last commit, never the working tree, and checks the results with ``twine check
+--strict``, which uv fetches. On an index a README has no files beside it: its relative links become
+links into the repository.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ _ELSEWHERE = re.compile(r"[a-z]+:|#")
 
 
 def projects(tree: Path) -> list[Path]:
-    """Folders of the distributions: the tree itself, and those right below it that have a pyproject.toml."""
+    """Folders of the distributions: the tree itself,
+    and those right below it that have a pyproject.toml.
+    """
     return [tree, *sorted(path.parent for path in tree.glob("*/pyproject.toml"))]
 
 
@@ -45,7 +49,10 @@ def kinds(project: Path) -> tuple[str, ...]:
 
 
 def repository(tree: Path) -> str:
-    """The repository's address, from pyproject.toml. Raises ValueError: it is none, and no index would take it."""
+    """The repository's address, from pyproject.toml.
+
+    Raises ValueError: it is none, and no index would take it.
+    """
     found = str(
         tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
             "Repository"
@@ -59,7 +66,9 @@ def repository(tree: Path) -> str:
 
 
 def absolute(text: str, folder: str, address: str, ref: str) -> str:
-    """A README (Markdown, HTML for images) of a folder whose relative links lead into the repository at a tag."""
+    """A README (Markdown, HTML for images) of a folder whose relative links lead into the
+    repository at a tag.
+    """
 
     def made(found: re.Match[str]) -> str:
         target = found["target"]

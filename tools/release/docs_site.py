@@ -1,7 +1,9 @@
-"""The settings and links that MkDocs cannot derive from docs/: mkdocs.yml names this file as its hook.
+"""The settings and links that MkDocs cannot derive from docs/:
+mkdocs.yml names this file as its hook.
 
-The pages read as plain files too, on a forge or in an editor. So links to files outside docs/ are relative there, and
-become addresses in the repository here; anchors are those that a forge makes of headings.
+The pages read as plain files too, on a forge or in an editor. So links to files outside docs/ are
+relative there, and become addresses in the repository here; anchors are those that a forge makes of
+headings.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ def expand(nav: Any, docs: Path = DOCS) -> Any:
 
 
 def outside_links(markdown: str, page: Path, repository: str) -> str:
-    """`markdown` with links to files outside docs/ turned into addresses, or into their text without an address.
+    """`markdown` with links to files outside docs/ turned into addresses,
+    or into their text without an address.
 
     A folder within docs/ counts as outside: the site has no page for it.
     """
@@ -58,7 +61,8 @@ def outside_links(markdown: str, page: Path, repository: str) -> str:
             return link[0]
         if not repository:
             return text
-        return f"[{text}]({repository}/{'tree' if file.is_dir() else 'blob'}/main/{file.relative_to(ROOT)}{anchor})"
+        kind = "tree" if file.is_dir() else "blob"
+        return f"[{text}]({repository}/{kind}/main/{file.relative_to(ROOT)}{anchor})"
 
     return _LINK.sub(rewritten, markdown)
 

@@ -1,14 +1,17 @@
 #!/usr/bin/env python3
-"""``make deb``: Debian packages of the service, ready to run and complete, for boards without a clone and a network.
+"""``make deb``: Debian packages of the service, ready to run and complete,
+for boards without a clone and a network.
 
 ::
 
-    python3 -m tools.release.package_debian [--machine x86_64 aarch64] [--python 3.11 3.13] [--out dist] [--level 9]
+    python3 -m tools.release.package_debian [--machine x86_64 aarch64] [--python 3.11 3.13]
+        [--out dist] [--level 9]
 
-One for each machine and Debian release, whose Python it is for (3.11: Debian 12, 3.13: Debian 13). In it: an
-environment as systemd/environment.sh makes it, of the wheels of systemd/requirements.lock and the program's own; the
-files that systemd/install.sh lays; the scripts of systemd/debian. No root, no program of the other machine. Needs uv,
-hatchling and Debian's dpkg-deb. Equal commits give equal packages.
+One for each machine and Debian release, whose Python it is for (3.11: Debian 12, 3.13: Debian 13).
+In it: an environment as systemd/environment.sh makes it, of the wheels of systemd/requirements.lock
+and the program's own; the files that systemd/install.sh lays; the scripts of systemd/debian. No
+root, no program of the other machine. Needs uv, hatchling and Debian's dpkg-deb. Equal commits give
+equal packages.
 """
 
 from __future__ import annotations
@@ -58,9 +61,9 @@ Description: tactile sensor TacShade: camera to height maps over MQTT
  and all Python packages that it needs.
 """
 COPYRIGHT = """\
-tacshade-edge is under the licence below. The packages of others beside it in /opt/tacshade-edge/lib, unchanged as on
-the Python Package Index, have their licences in their folders *.dist-info, cv2 and onnxruntime there; bill.cdx.json
-lists them.
+tacshade-edge is under the licence below. The packages of others beside it in
+/opt/tacshade-edge/lib, unchanged as on the Python Package Index, have their licences in their
+folders *.dist-info, cv2 and onnxruntime there; bill.cdx.json lists them.
 
 """
 
@@ -139,7 +142,9 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
 
 
 def environment(app: Path, wheel: Path, machine: str, python: str) -> None:
-    """A virtual environment of Debian's Python, which takes no more than this, filled for another machine."""
+    """A virtual environment of Debian's Python, which takes no more than this,
+    filled for another machine.
+    """
     packages = app / "lib" / f"python{python}" / "site-packages"
     board = (
         "--python-platform",

@@ -1,8 +1,9 @@
-"""The version of a build, for pyproject.toml: the tag's version, or after the tag a development version of the next.
+"""The version of a build, for pyproject.toml: the tag's version,
+or after the tag a development version of the next.
 
-The version comes from `git describe`, in an sdist from PKG-INFO, and in an archive that git made from
-``archive_version.txt``. If another place builds part of the tree, such as an image, its caller sets
-``TACSHADE_EDGE_VERSION``.
+The version comes from `git describe`, in an sdist from PKG-INFO, and in an archive that git made
+from ``archive_version.txt``. If another place builds part of the tree, such as an image, its caller
+sets ``TACSHADE_EDGE_VERSION``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNKNOWN = "0+unknown"
-"""The version of a bare copy of the files. A daemon that runs without being installed reports the same."""
+"""The version of a bare copy of the files.
+
+A daemon that runs without being installed reports the same.
+"""
 
 _DESCRIBED = re.compile(r"v(\d+)\.(\d+)\.(\d+)(?:-(\d+)-g([0-9a-f]+))?")
 
@@ -41,7 +45,9 @@ def version(root: Path = ROOT) -> str:
 
 
 def version_of(described: str) -> str:
-    """Convert the output of `git describe`: ``v1.2.3`` gives 1.2.3, ``v1.2.3-4-gabc`` gives 1.2.4.dev4+gabc."""
+    """Convert the output of `git describe`: ``v1.2.3`` gives 1.2.3,
+    ``v1.2.3-4-gabc`` gives 1.2.4.dev4+gabc.
+    """
     found = _DESCRIBED.fullmatch(described)
     if found is None:
         return UNKNOWN

@@ -1,19 +1,22 @@
 #!/usr/bin/env python3
-"""Run a command as root in an arm64 user space: Debian's, on QEMU's model of a Pi 5's processor (Cortex-A76).
+"""Run a command as root in an arm64 user space: Debian's,
+on QEMU's model of a Pi 5's processor (Cortex-A76).
 
 ::
 
     python3 -m tools.rig.arm64 [--python 3.11|3.13] COMMAND [ARGUMENT...]
-    python3 -m tools.rig.arm64 --count -m MODULE [ARGUMENT...]     prints the instructions that Python executes
+    python3 -m tools.rig.arm64 --count -m MODULE [ARGUMENT...]
 
-The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's packages unpacked,
-the wheels of ``systemd/requirements.lock`` installed, checked by their hashes, and the tests' other dependencies.
-COMMAND runs in it with this tree at ``/src``, its folder, on the machine's network. Needs root, and the Debian packages
-debootstrap, qemu-user-static, and for --count qemu-user and gcc. Exit status 77 means that it cannot run here.
+With ``--count`` it prints the instructions that Python executes.
+The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's
+packages unpacked, the wheels of ``systemd/requirements.lock`` installed, checked by their hashes,
+and the tests' other dependencies. COMMAND runs in it with this tree at ``/src``, its folder, on the
+machine's network. Needs root, and the Debian packages debootstrap, qemu-user-static, and for
+--count qemu-user and gcc. Exit status 77 means that it cannot run here.
 
-The processor is emulated instruction by instruction: its speed says nothing of a board's, the count does. The kernel's
-files that state what processor there is (/proc/cpuinfo, /sys) are those of a Pi 5, since libraries choose their code by
-them; /sys has nothing else.
+The processor is emulated instruction by instruction: its speed says nothing of a board's, the count
+does. The kernel's files that state what processor there is (/proc/cpuinfo, /sys) are those of a Pi
+5, since libraries choose their code by them; /sys has nothing else.
 """
 
 from __future__ import annotations
@@ -46,7 +49,8 @@ CPUINFO = "".join(
     f"""\
 processor\t: {core}
 BogoMIPS\t: 108.00
-Features\t: fp asimd evtstrm aes pmull sha1 sha2 crc32 atomics fphp asimdhp cpuid asimdrdm lrcpc dcpop asimddp
+Features\t: fp asimd evtstrm aes pmull sha1 sha2 crc32 atomics fphp asimdhp \
+cpuid asimdrdm lrcpc dcpop asimddp
 CPU implementer\t: 0x41
 CPU architecture: 8
 CPU variant\t: 0x4
@@ -137,7 +141,9 @@ def user_space(python: str) -> Path:
 
 
 def install(python: str, root: Path) -> None:
-    """The lock's wheels, as systemd/environment.sh does, into ``/opt/lock``; what tests need into ``/opt/dev``."""
+    """The lock's wheels, as systemd/environment.sh does, into ``/opt/lock``;
+    what tests need into ``/opt/dev``.
+    """
     board = (
         "--python-platform",
         "aarch64-manylinux_2_28",
@@ -187,7 +193,9 @@ def enter(python: str, command: list[str]) -> None:
 
 
 def counted(script: list[str]) -> int:
-    """Print the instructions that Python 3.11 executes for a script, or -m and a module; return its exit status."""
+    """Print the instructions that Python 3.11 executes for a script, or -m and a module;
+    return its exit status.
+    """
     check(PROGRAMS | COUNT_PROGRAMS)
     root = user_space("3.11")
     plugin = CACHE / "count_instructions.so"
@@ -222,7 +230,9 @@ def counted(script: list[str]) -> int:
 
 
 def instructions_each(script: list[str], runs: int) -> float:
-    """Instructions of one run of a script whose last argument, appended here, is how often: of one and `runs` more."""
+    """Instructions of one run of a script whose last argument, appended here, is how often:
+    of one and `runs` more.
+    """
     found = []
     for count in (1, 1 + runs):
         command = (sys.executable, "-m", "tools.rig.arm64", "--count", *script, str(count))

@@ -5,9 +5,10 @@
 
     python3 -m tools.rig.feed_video [--rate FPS] FRAMES
 
-FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), played round and round. The kernel's test driver (vivid) is loaded with
-an HDMI output that is looped to its HDMI input: /dev/video0 captures 640x480 YUYV at 25 fps whose Y plane is the image
-that was last played. Prints ``playing`` when the first image can be captured; ends on SIGTERM.
+FRAMES is a ``.npy`` stack, uint8 (N, 480, 640), played round and round. The kernel's test driver
+(vivid) is loaded with an HDMI output that is looped to its HDMI input: /dev/video0 captures 640x480
+YUYV at 25 fps whose Y plane is the image that was last played. Prints ``playing`` when the first
+image can be captured; ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -25,9 +26,13 @@ import numpy as np
 CAPTURE, OUTPUT = "/dev/video0", "/dev/video1"
 SHAPE = (480, 640)
 FPS = 25
-# The one standard timing at 25 Hz; both ends use its upper left corner, unscaled (ccs: crop, compose, scale).
+# The one standard timing at 25 Hz; both ends use its upper left corner, unscaled (ccs:
+# crop, compose, scale).
 SIGNAL = ("Active width: 1280", "Active height: 720", "(25.00 frames per second)")
-LOOP = "node_types=0x101 num_inputs=1 input_types=3 num_outputs=1 output_types=1 ccs_cap_mode=1 ccs_out_mode=2"
+LOOP = (
+    "node_types=0x101 num_inputs=1 input_types=3 num_outputs=1 output_types=1 ccs_cap_mode=1 "
+    "ccs_out_mode=2"
+)
 
 
 def load(path: Path) -> list[bytes]:
@@ -77,7 +82,8 @@ def _ctl(device: str, *arguments: str) -> str:
     done = subprocess.run(["v4l2-ctl", "-d", device, *arguments], capture_output=True, text=True)
     if done.returncode:
         sys.exit(
-            f"feed_video: v4l2-ctl -d {device} {' '.join(arguments)}: {done.stdout.strip()}{done.stderr.strip()}"
+            f"feed_video: v4l2-ctl -d {device} {' '.join(arguments)}: "
+            f"{done.stdout.strip()}{done.stderr.strip()}"
         )
     return done.stdout
 

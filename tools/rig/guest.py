@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
-"""Run a command as root under Debian's kernel, in a software-emulated guest with this machine's root file system.
+"""Run a command as root under Debian's kernel, in a software-emulated guest
+with this machine's root file system.
 
 ::
 
     python3 -m tools.rig.guest [--out DIR] [--silent SECONDS] COMMAND [ARGUMENT...]
 
-The guest sees this machine's files at the same paths, read-only (9p). Its writes go to memory and are lost, except
-below ``/out``, which is DIR on this machine. COMMAND runs in the tree's folder once systemd and udev have started, and
-this program passes on its output and exit status. Exit status 77 means that the guest cannot run here (one line says
-why). 125 means that it did not finish in two attempts (the emulator itself hangs now and then): it gave no sign of life
-for --silent seconds (normally one each second), or ended without an exit status. This program uses only the standard
-library, so that it can report what is missing.
+The guest sees this machine's files at the same paths, read-only (9p). Its writes go to memory and
+are lost, except below ``/out``, which is DIR on this machine. COMMAND runs in the tree's folder
+once systemd and udev have started, and this program passes on its output and exit status. Exit
+status 77 means that the guest cannot run here (one line says why). 125 means that it did not finish
+in two attempts (the emulator itself hangs now and then): it gave no sign of life for --silent
+seconds (normally one each second), or ended without an exit status. This program uses only the
+standard library, so that it can report what is missing.
 """
 
 from __future__ import annotations
@@ -66,7 +68,8 @@ def check() -> None:
     )
     if missing:
         raise CannotRunError(
-            f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs them)"
+            f"missing Debian packages: {' '.join(missing)} (tools/ci/install_debian.sh installs "
+            "them)"
         )
 
 
@@ -173,7 +176,9 @@ def run(command: list[str], out: Path, silent_s: float) -> int:
 
 
 def _qemu(root: Path, version: str, out: Path) -> list[str]:
-    """Make QEMU's command, without hardware virtualisation: not every machine has it, and it changes the timing."""
+    """Make QEMU's command, without hardware virtualisation:
+    not every machine has it, and it changes the timing.
+    """
     systemd = "systemd.unit=scenario.target systemd.show_status=0"
     share = "security_model=none,multidevs=remap"
     return [
@@ -217,15 +222,18 @@ def _qemu(root: Path, version: str, out: Path) -> list[str]:
 def _clock() -> str:
     """Measure the rate of the guest's time stamp counter, which is this machine's.
 
-    If the kernel measured the rate while the emulator is not scheduled, the result would be wrong by a large factor,
-    and the guest's seconds would be too short for any work.
+    If the kernel measured the rate while the emulator is not scheduled, the result would be wrong
+    by a large factor, and the guest's seconds would be too short for any work.
     """
     read = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
     read.write(bytes.fromhex("0f31 48c1e220 4809d0 c3"))  # rdtsc; shl rdx, 32; or rax, rdx; ret
     counter = ctypes.CFUNCTYPE(ctypes.c_uint64)(ctypes.addressof(ctypes.c_char.from_buffer(read)))
     began, began_ns = counter(), time.monotonic_ns()
     time.sleep(0.2)
-    return f"tsc=reliable tsc_early_khz={(counter() - began) * 1_000_000 // (time.monotonic_ns() - began_ns)}"
+    return (
+        "tsc=reliable "
+        f"tsc_early_khz={(counter() - began) * 1_000_000 // (time.monotonic_ns() - began_ns)}"
+    )
 
 
 def _output(*command: str, cwd: str | None = None) -> str:

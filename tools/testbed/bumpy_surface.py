@@ -1,4 +1,6 @@
-"""A smooth surface and the points that exact presses touch: for tests of stitching without images."""
+"""A smooth surface and the points that exact presses touch:
+for tests of stitching without images.
+"""
 
 from __future__ import annotations
 

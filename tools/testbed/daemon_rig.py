@@ -1,4 +1,6 @@
-"""What the daemon's benches share: a camera that costs nothing, its images, and figures of a process."""
+"""What the daemon's benches share: a camera that costs nothing, its images,
+and figures of a process.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "Vm
 
 
 class RingSource:
-    """A `FrameSource` that cycles through images of a file, uint8 (N, H, W); it drops late ones, as a camera does."""
+    """A `FrameSource` that cycles through images of a file, uint8 (N, H, W);
+    it drops late ones, as a camera does.
+    """
 
     def __init__(self, path: Path, fps: float) -> None:
         self._images: U8 = np.asarray(
@@ -62,9 +66,11 @@ class RingSource:
 
 
 def draw_rings(folder: Path) -> None:
-    """Write the images of a ball that goes in and out, halfway in at first, and of the untouched skin.
+    """Write the images of a ball that goes in and out, halfway in at first,
+    and of the untouched skin.
 
-    ``contact.npy`` and ``free.npy`` have one channel, as a camera's frames have; ``colour.npy`` is the first as drawn.
+    ``contact.npy`` and ``free.npy`` have one channel, as a camera's frames have;
+    ``colour.npy`` is the first as drawn.
     """
     # Here, since a daemon that imports this module draws nothing.
     from tacshade_edge.simulator.press import Press, ball
@@ -85,7 +91,9 @@ def draw_rings(folder: Path) -> None:
 
 
 def memory_mb(pid: int) -> dict[str, float]:
-    """`FIELDS` of a process in MiB, without the images of a `RingSource`: a camera's images take no memory."""
+    """`FIELDS` of a process in MiB, without the images of a `RingSource`:
+    a camera's images take no memory.
+    """
     status = Path(f"/proc/{pid}/status").read_text()
     found = {
         name: re.search(rf"^{key}:\s+(\d+) kB$", status, re.MULTILINE)

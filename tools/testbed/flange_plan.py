@@ -1,4 +1,6 @@
-"""The plan of docs/how-to/stitching.md for `stitch --find-flange`: where a robot presses, turns, moves."""
+"""The plan of docs/how-to/stitching.md for `stitch --find-flange`:
+where a robot presses, turns, moves.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ def time_s(above_mm: float) -> float:
 
 
 def track(base_T_flange: Rigid, phase: float) -> tuple[Pose, ...]:
-    """The poses that a robot reports of a press, at `_TRACK_HZ`; `phase` 0 to 1 of a period moves their times."""
+    """The poses that a robot reports of a press, at `_TRACK_HZ`;
+    `phase` 0 to 1 of a period moves their times.
+    """
     times_s = (np.arange(-18, 19) + phase) / _TRACK_HZ
     return tuple(
         Pose(MIDDLE_NS + round(t * 1e9), *(shift(0, 0, height_mm(t)) @ base_T_flange).seven())
@@ -66,7 +70,8 @@ def track(base_T_flange: Rigid, phase: float) -> tuple[Pose, ...]:
 def exact_frames(
     flange_T_sensor: Rigid, delay_ms: float, turns_deg: Turns = TURNS_DEG, *, moving: bool = True
 ) -> list[ContactFrame]:
-    """The plan on the bumpy surface: exact points, poses that are off by 0.1 mm and 0.1 degrees in every axis.
+    """The plan on the bumpy surface: exact points,
+    poses that are off by 0.1 mm and 0.1 degrees in every axis.
 
     If `moving`, every fifth press has a frame on the way down and one on the way up.
     """

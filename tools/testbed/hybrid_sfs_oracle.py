@@ -13,10 +13,10 @@ C128 = npt.NDArray[np.complex128]
 
 
 def hybrid_sfs(g_hn: F64, iterations: int = ITERATIONS) -> tuple[F64, int]:
-    """Iterate eq. 11 from the initialisation of ref. [20] on g_hn, and take the 3x3 median of |Z|: finite, in pixels of
-    arbitrary scale, with the number of values repaired. p and q start as the Fourier transforms of the image gradient,
-    as in the reference code. The denominators |N·L| of eqs. 4, 7 and 8 are read as |N||L|: as printed, the quotient
-    could only be 1 or -1.
+    """Iterate eq. 11 from the initialisation of ref. [20] on g_hn, and take the 3x3 median of |Z|:
+    finite, in pixels of arbitrary scale, with the number of values repaired. p and q start as the
+    Fourier transforms of the image gradient, as in the reference code. The denominators |N·L| of
+    eqs. 4, 7 and 8 are read as |N||L|: as printed, the quotient could only be 1 or -1.
     """
     with np.errstate(all="ignore"):  # overflow is normal for this method
         magnitude = np.abs(_iterate(g_hn.astype(np.complex128), iterations))

@@ -46,8 +46,8 @@ def free_port() -> int:
 class Broker:
     """A mosquitto with its own configuration; starts on request and always on the same port.
 
-    Small messages go out at once, as with ``systemd/mosquitto-tacshade.conf``: otherwise each waits up to 40 ms for the
-    subscriber's acknowledgement of the previous one.
+    Small messages go out at once, as with ``systemd/mosquitto-tacshade.conf``: otherwise each waits
+    up to 40 ms for the subscriber's acknowledgement of the previous one.
     """
 
     def __init__(
@@ -104,7 +104,9 @@ class Broker:
         self._process = None
 
     def stall(self) -> None:
-        """Suspend mosquitto: the kernel still accepts connections and bytes, but mosquitto does nothing."""
+        """Suspend mosquitto: the kernel still accepts connections and bytes,
+        but mosquitto does nothing.
+        """
         self._signal(signal.SIGSTOP)
 
     def resume(self) -> None:
@@ -134,7 +136,8 @@ class Broker:
 
 
 class Subscriber:
-    """A subscriber, by default with MQTT 3.1.1; it keeps every message in order and reconnects by itself.
+    """A subscriber, by default with MQTT 3.1.1; it keeps every message in order and reconnects
+    by itself.
 
     With `page`, it connects as a browser does: over WebSocket, through the dashboard's port.
     """
@@ -152,7 +155,8 @@ class Subscriber:
             self.client.ws_set_options(path="/mqtt", headers=lambda defaults: {**defaults, **own})
         self.client.reconnect_delay_set(1, 1)
         self.client.on_connect = lambda client, *_: client.subscribe(topics, qos=1)
-        # Without `self`: in a cycle, the collector can reach the client's sockets before the client closes them.
+        # Without `self`: in a cycle, the collector can reach the client's sockets
+        # before the client closes them.
         messages, subscribed = self.messages, self._subscribed
         self.client.on_subscribe = lambda *_: subscribed.set()
         self.client.on_message = lambda _client, _data, message: messages.append(message)
@@ -205,7 +209,9 @@ class Subscriber:
 
 
 class BridgeProcess:
-    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port, at the `url` that it prints."""
+    """``tacshade-edge bridge KIND`` for a broker on this machine, on a free port,
+    at the `url` that it prints.
+    """
 
     def __init__(self, kind: str, broker_port: int, log: Path, *words: str) -> None:
         self._command = [

@@ -1,4 +1,6 @@
-"""A small painted sensor that takes a millisecond per image, for tests of the code around the core."""
+"""A small painted sensor that takes a millisecond per image,
+for tests of the code around the core.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ DISC = Disc(59.5, 79.5, 52.0)
 
 
 def painted(*, touched: bool = False) -> U8:
-    """White markers on a dark disc; larger markers in the middle, spread from there, where touched."""
+    """White markers on a dark disc; larger markers in the middle, spread from there,
+    where touched.
+    """
     image = np.full((HEIGHT, WIDTH), 30, dtype=np.uint8)
     for i, row in enumerate(np.arange(4, HEIGHT, PITCH_PX)):
         for col in np.arange(4 + (i % 2) * PITCH_PX / 2, WIDTH, PITCH_PX):
@@ -60,7 +64,9 @@ FREE, TOUCHED, BLACK = painted(), painted(touched=True), np.zeros((HEIGHT, WIDTH
 
 
 def touched_depth_mm() -> float:
-    """The core's depth in mm for `TOUCHED` with the default profile: a subscriber must find the same."""
+    """The core's depth in mm for `TOUCHED` with the default profile:
+    a subscriber must find the same.
+    """
     result = make_reconstructor(painted_calibration(), PROFILES[DEFAULT]).step(
         Frame(0, 0, 0, TOUCHED)
     )
@@ -69,7 +75,9 @@ def touched_depth_mm() -> float:
 
 
 def enlarged(image: U8) -> U8:
-    """To 640x480, as a lens would show it: without its blur, rows that follow the painted pattern look torn."""
+    """To 640x480, as a lens would show it: without its blur,
+    rows that follow the painted pattern look torn.
+    """
     return np.asarray(
         cv2.GaussianBlur(image.repeat(SCALE, axis=0).repeat(SCALE, axis=1), (0, 0), 1.5), np.uint8
     )

@@ -1,7 +1,9 @@
-"""How long a test waits: its limits are for an idle machine of a known speed, and stretch by how slow this one is now.
+"""How long a test waits: its limits are for an idle machine of a known speed,
+and stretch by how slow this one is now.
 
-A limit here only ends a wait for something that will not come, so it may be far off; a promise in seconds (`stretched`)
-may not. The speed is that of the interpreter, which is what most of a wait is: of starting processes, imports, tests.
+A limit here only ends a wait for something that will not come, so it may be far off; a promise in
+seconds (`stretched`) may not. The speed is that of the interpreter, which is what most of a wait
+is: of starting processes, imports, tests.
 """
 
 from __future__ import annotations
@@ -12,7 +14,9 @@ from collections.abc import Callable
 from functools import cache
 
 UNIT_S = 0.0009
-"""What `_unit` takes on an idle core of the machine that the limits were written on (this file, run, prints it)."""
+"""What `_unit` takes on an idle core of the machine that the limits were written on (this file,
+run, prints it).
+"""
 
 LOOK_S = 0.25
 MARGIN = 3.0
@@ -27,7 +31,9 @@ def _unit() -> int:
 
 
 def slowness() -> float:
-    """The factor on run times here and now against that machine, other processes and quotas included; at least 1."""
+    """The factor on run times here and now against that machine,
+    other processes and quotas included; at least 1.
+    """
     began_s = time.perf_counter()
     units = 0
     while (took_s := time.perf_counter() - began_s) < LOOK_S:
@@ -58,10 +64,11 @@ def wait_until(
     *,
     margin: float = MARGIN,
 ) -> None:
-    """Poll until the condition holds; AssertionError when it does not within `margin` times the limit, stretched.
+    """Poll until the condition holds; AssertionError
+    when it does not within `margin` times the limit, stretched.
 
-    A condition that takes long to look at, such as what a browser shows, is looked at a third of the time: what it
-    waits for needs the cores too.
+    A condition that takes long to look at, such as what a browser shows, is looked at a third of
+    the time: what it waits for needs the cores too.
     """
     began_s = asked_s = time.monotonic()
     limit_s = timeout_s

@@ -1,4 +1,6 @@
-"""The command `run` with sensors that have rings of images in memory; a process of the benchmarks and the soak test."""
+"""The command `run` with sensors that have rings of images in memory;
+a process of the benchmarks and the soak test.
+"""
 
 import gc
 import signal

@@ -2,12 +2,13 @@
 
 ::
 
-    .venv/bin/python -m tools.testbed.robot --link /dev/shm/robot [--rate 100] [--binary] [--seconds 20]
-        [--line usb|loaded|ftdi] [--drift-ppm 40] [--lose 0.01] [--damage 0.01] [--stall 5:0.3] [--reboot 10]
-        [--one-way]
+    .venv/bin/python -m tools.testbed.robot --link /dev/shm/robot [--rate 100] [--binary]
+        [--seconds 20] [--line usb|loaded|ftdi] [--drift-ppm 40] [--lose 0.01] [--damage 0.01]
+        [--stall 5:0.3] [--reboot 10] [--one-way]
 
-Point `serial.device` at the link. At the end it prints what it sent as JSON. Each pose takes a number, whether or not
-the line then loses it, so ``health.serial`` must account for all: poses + poses_lost (+ those at the very end).
+Point `serial.device` at the link. At the end it prints what it sent as JSON. Each pose takes a
+number, whether or not the line then loses it, so ``health.serial`` must account for all: poses +
+poses_lost (+ those at the very end).
 """
 
 from __future__ import annotations
@@ -46,12 +47,16 @@ class LineModel:
 
 
 def _usb(rng: random.Random) -> float:
-    """The host polls every millisecond, at a phase that wanders; then the kernel wakes the reader."""
+    """The host polls every millisecond, at a phase that wanders;
+    then the kernel wakes the reader.
+    """
     return 0.0001 + rng.uniform(0, 0.001) + rng.expovariate(1 / 0.00005)
 
 
 def _loaded(rng: random.Random) -> float:
-    """The same on a board whose cores are all busy: the scheduler's slices on top, now and then many."""
+    """The same on a board whose cores are all busy:
+    the scheduler's slices on top, now and then many.
+    """
     return (
         _usb(rng)
         + rng.expovariate(1 / 0.001)
@@ -104,7 +109,9 @@ def motion(at_s: float) -> PoseValues:
 
 @dataclass(slots=True)
 class Faults:
-    """Faults and how often they occur: shares of all lines and frames; stalls as (every s, for s); reboots every s."""
+    """Faults and how often they occur: shares of all lines and frames; stalls as (every s, for s);
+    reboots every s.
+    """
 
     lose: float = 0.0
     damage: float = 0.0
@@ -130,8 +137,9 @@ class Counts:
 class PtyRobot:
     """A robot in its own thread.
 
-    `link` becomes a symbolic link to the pty's other end, also after `plug`. The robot sends `rate_hz` poses per second
-    (0: none), but at most `poses`, and goes on without them; `where` is its pose at a time of `true_s`.
+    `link` becomes a symbolic link to the pty's other end, also after `plug`. The robot sends
+    `rate_hz` poses per second (0: none), but at most `poses`, and goes on without them; `where` is
+    its pose at a time of `true_s`.
     """
 
     def __init__(
@@ -210,7 +218,9 @@ class PtyRobot:
         self._stop.set()
 
     def ask(self, text: str) -> None:
-        """Send a command with the next number; its reply comes to `answers`, without the checksum."""
+        """Send a command with the next number; its reply comes to `answers`,
+        without the checksum.
+        """
         self._typed.append(text)
 
     def true_s(self) -> float:
@@ -358,7 +368,9 @@ class PtyRobot:
             self._hear(data, self.clock.read_ns(self.true_s()))
 
     def _hear(self, data: bytes, t4_ns: int) -> None:
-        """Decode both modes at once: a line has no zero, and no frame is so short that its first byte is a LF."""
+        """Decode both modes at once: a line has no zero,
+        and no frame is so short that its first byte is a LF.
+        """
         self._buffer += data
         while (
             end := min((i for i in map(self._buffer.find, (b"\n", b"\0")) if i >= 0), default=-1)

@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
-"""Make the data and train all networks at the same time, on a GPU while the processor makes the data.
+"""Make the data and train all networks at the same time,
+on a GPU while the processor makes the data.
 
 ::
 
-    .venv-train/bin/python -m tools.training.all_networks --data DATA --out RUNS --device cuda --minutes 12
+    .venv-train/bin/python -m tools.training.all_networks --data DATA --out RUNS
+        --device cuda --minutes 12
 
 After an interruption, run it again to continue.
 """

@@ -19,8 +19,9 @@ from tools.training.samples import kind_of
 class Data:
     """Samples of one kind of sensors: S sensors, F frames; `sensor` (F,) gives each frame's row.
 
-    uint8: `reference` (S, cells, cells), `frame` and `contact` (F, cells, cells); float16: `known` (S, 6, cells / fold,
-    cells / fold), `height` (F, cells, cells), `shear` (F, COARSE_CELLS, COARSE_CELLS, 2).
+    uint8: `reference` (S, cells, cells), `frame` and `contact` (F, cells, cells); float16: `known`
+    (S, 6, cells / fold, cells / fold), `height` (F, cells, cells), `shear` (F, COARSE_CELLS,
+    COARSE_CELLS, 2).
     """
 
     reference: Tensor
@@ -33,7 +34,9 @@ class Data:
     fold: int
 
     def chances(self) -> Tensor:
-        """Weight each frame for drawing: presses like those of users come more often than extreme ones."""
+        """Weight each frame for drawing: presses like those of users come more often
+        than extreme ones.
+        """
         depth_mm, drag_mm = self.height.amax((1, 2)).float() * DISC_MM, self._drag_mm()
         # Users press up to 4.8 mm deep and drag by up to 3.2 mm, on a skin with a radius of 20 mm.
         usual = (depth_mm < 4.8) & (drag_mm < 3.2)
@@ -128,7 +131,8 @@ def _pooled(name: str, array: np.ndarray, by: int) -> Tensor:
 def batch(
     data: Data, index: Tensor | np.ndarray, turn: int = 0
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Make a network's inputs; 10 h and contact (B, cells, cells); 10 times the shear (B, 2, coarse, coarse cells).
+    """Make a network's inputs; 10 h and contact (B, cells, cells);
+    10 times the shear (B, 2, coarse, coarse cells).
 
     `turn` selects one of the square's 8 symmetries.
     """
@@ -157,15 +161,16 @@ def batch(
 LOOKS_PART = 0.3
 """Share of the frames that get another look."""
 GAMMA, BLUR, GAIN, NOISE = 0.25, 0.2, 0.03, 0.02
-"""Deviation of the logarithm of a sensor's gamma, greatest share that a cell takes from each neighbour, deviation of a
-frame's gain, and greatest deviation of its noise (white is 0 to 1)."""
+"""Deviation of the logarithm of a sensor's gamma, greatest share that a cell takes from each
+neighbour, deviation of a frame's gain, and greatest deviation of its noise (white is 0 to 1).
+"""
 
 
 def other_looks(maps: Tensor, generator: torch.Generator) -> Tensor:
     """Change the white of frames and references, (B, 2, cells, cells), 0 to 1.
 
-    Dots that are thresholded larger or smaller (gamma) or seen less sharply (blur) are another sensor's, so frame and
-    reference change alike. Gain and noise change only the frame.
+    Dots that are thresholded larger or smaller (gamma) or seen less sharply (blur) are another
+    sensor's, so frame and reference change alike. Gain and noise change only the frame.
     """
 
     def drawn(normal: bool) -> Tensor:

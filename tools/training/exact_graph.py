@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
-"""Make the floats around the codes of an integer graph exact, so that every processor computes the same codes.
+"""Make the floats around the codes of an integer graph exact,
+so that every processor computes the same codes.
 
 ::
 
     .venv-train/bin/python -m tools.training.exact_graph fast balanced accurate shear
 
-A float32 sum of multiples of one power of two is exact, in any order and with any instructions, as long as no part of
-it exceeds 2**24 of them. Therefore the graph rounds white to codes, the first layer's weights to a step, and what
-rounding the other weights takes from their sums. Where codes are added, their scales are such that no sum is near the
-middle between two codes. `integer.py` does this to each graph that it writes; the command does it to the shipped ones,
-and changes nothing that is exact already.
+A float32 sum of multiples of one power of two is exact, in any order and with any instructions, as
+long as no part of it exceeds 2**24 of them. Therefore the graph rounds white to codes, the first
+layer's weights to a step, and what rounding the other weights takes from their sums. Where codes
+are added, their scales are such that no sum is near the middle between two codes. `integer.py` does
+this to each graph that it writes; the command does it to the shipped ones, and changes nothing that
+is exact already.
 """
 
 from __future__ import annotations
@@ -31,11 +33,15 @@ WHITE = 255
 SUM_BITS = 18
 """Bits behind the point of the first layer's sums: exact below 64 (float32 has 24)."""
 LOST_BITS = 6
-"""Bits behind the point of what rounding takes: a mean code times half a step is at most 128, and a channel has at
-most 2048 weights, so that sums are exact."""
+"""Bits behind the point of what rounding takes: a mean code times half a step is at most 128, and a
+channel has at most 2048 weights, so that sums are exact.
+"""
 PARTS = 2047
-"""A term's scale is a whole number of so many parts of the sum's. The number is odd, so that a sum is at least half a
-part, 2.4e-4, from the middle between two codes; float32 errs by 1e-4 at most, in whatever order the runtime adds."""
+"""A term's scale is a whole number of so many parts of the sum's.
+
+The number is odd, so that a sum is at least half a part, 2.4e-4, from the middle between two codes;
+float32 errs by 1e-4 at most, in whatever order the runtime adds.
+"""
 
 
 def exact(model: onnx.ModelProto) -> None:

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Write a checkpoint as ONNX, check that ONNX Runtime gives the same results, and record the origin.
+"""Write a checkpoint as ONNX, check that ONNX Runtime gives the same results,
+and record the origin.
 
 ::
 
     .venv-train/bin/python -m tools.training.export --run RUN --out accurate.onnx
 
-The first layer is cut in two. ``accurate.sensor.onnx`` computes what the sensor's reference and geometry contribute and
-runs once per sensor. The rest takes this contribution and a frame's white, and runs for every frame. A JSON file of the
-same name records command, seed, commit, data, figures and SHA-256.
+The first layer is cut in two. ``accurate.sensor.onnx`` computes what the sensor's reference and
+geometry contribute and runs once per sensor. The rest takes this contribution and a frame's white,
+and runs for every frame. A JSON file of the same name records command, seed, commit, data, figures
+and SHA-256.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ from tools.training.network import Net, ShearNet, trained
 OPSET = 13
 TOLERANCE = 1e-4
 OUTPUTS = {"depth": ["depth_and_contact", "foreign"], "shear": ["displacement"]}
-"""Output tensors of each of `network.NETS`, named as in the shipped files, whose bytes contain these names."""
+"""Output tensors of each of `network.NETS`, named as in the shipped files,
+whose bytes contain these names.
+"""
 
 
 class PerSensor(nn.Module):
@@ -130,8 +134,15 @@ def write(part: nn.Module, inputs: dict[str, Tensor], outputs: list[str], path: 
     """Write a part of the network."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # this exporter needs only torch
-        torch.onnx.export(part.eval(), tuple(inputs.values()), str(path), dynamo=False, opset_version=OPSET,
-                          input_names=list(inputs), output_names=outputs)  # fmt: skip
+        torch.onnx.export(
+            part.eval(),
+            tuple(inputs.values()),
+            str(path),
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(inputs),
+            output_names=outputs,
+        )
 
 
 def run(path: Path, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:

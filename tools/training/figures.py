@@ -16,11 +16,15 @@ from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 UNTRUSTED_CELLS = 0.05
 """A frame with more than this share of untrusted cells counts as torn in the figures."""
 LEAST_CELLS, STILL_MM = 60, 0.1
-"""Contacts with fewer cells (of 112x112) are not scored; contacts that moved by less count as undragged."""
+"""Contacts with fewer cells (of 112x112) are not scored;
+contacts that moved by less count as undragged.
+"""
 
 
 def depth_figures(net: nn.Module, data: Data) -> dict[str, float]:
-    """Measure the errors on sensors that were not trained on, as if their disc's radius were 15 mm."""
+    """Measure the errors on sensors that were not trained on,
+    as if their disc's radius were 15 mm.
+    """
     errors, relative, ious, shapes, still = [], [], [], [], []
     strange, torn, rng = [], [], np.random.default_rng(0)
     for x, height, contact, shear in _batches(data):

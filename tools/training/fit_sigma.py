@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Fit the errors of the shipped networks: ``tacshade_edge/inference/weights/sigma.json`` (`core.depth.sigma`).
+"""Fit the errors of the shipped networks: ``tacshade_edge/inference/weights/sigma.json``
+(`core.depth.sigma`).
 
 ::
 
     .venv/bin/python -m tools.training.fit_sigma  # about ten minutes of one core
 
-The weights are fitted to some objects, pressed and dragged. The relation between presses and error scales is fitted to
-other objects on the same sensors, because errors are larger on objects that the weights were not fitted to. The page
-docs/results/sigma.md uses neither these objects nor these sensors. New networks need a new fit.
+The weights are fitted to some objects, pressed and dragged. The relation between presses and error
+scales is fitted to other objects on the same sensors, because errors are larger on objects that the
+weights were not fitted to. The page docs/results/sigma.md uses neither these objects nor these
+sensors. New networks need a new fit.
 """
 
 from __future__ import annotations
@@ -88,8 +90,8 @@ class Cells:
 class Measured:
     """A sensor, its calibration and presses, and the cells of each network.
 
-    `weights` and `scales` hold cells of the objects for each of the two fits, with the factors that the calibration
-    learned from the presses; `bare` holds those of `scales` without these factors.
+    `weights` and `scales` hold cells of the objects for each of the two fits, with the factors that
+    the calibration learned from the presses; `bare` holds those of `scales` without these factors.
     """
 
     name: SensorName
@@ -175,7 +177,9 @@ def measure(text: str) -> Measured:
 
 
 def quantile_weights(x: F64, log_error: F64, of_each: F64) -> F64:
-    """Find weights w so that x @ w is the quantile `COVERED` of log |error|, by a smoothed, weighted pinball loss."""
+    """Find weights w so that x @ w is the quantile `COVERED` of log |error|, by a smoothed,
+    weighted pinball loss.
+    """
     found = np.zeros(x.shape[1])
     found[0] = np.quantile(log_error, COVERED)
     for smooth in SMOOTH:

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""Write the integer graph of a shipped network, ``NAME.integer.onnx``, whose layers compute with 8-bit codes.
+"""Write the integer graph of a shipped network, ``NAME.integer.onnx``,
+whose layers compute with 8-bit codes.
 
 ::
 
     .venv-train/bin/python -m tools.training.integer --data DATA --name fast
     .venv-train/bin/python -m tools.training.integer --data DATA --name shear --part 0.97
 
-The graph has no weights: the reader adds those of ``NAME.onnx``, or fitted ones with the same layout. It contains the
-operations and the scales of the codes. A scale covers the range of a channel on the shards of make_data.py, in all
-frames or, with ``--part``, in that part of them; greater values in the other frames are clipped to the last code.
+The graph has no weights: the reader adds those of ``NAME.onnx``, or fitted ones with the same
+layout. It contains the operations and the scales of the codes. A scale covers the range of a
+channel on the shards of make_data.py, in all frames or, with ``--part``, in that part of them;
+greater values in the other frames are clipped to the last code.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 def channels(
     network: Network, once: bytes, frames: Sequence[Data], part: float
 ) -> dict[str, Channels]:
-    """Measure the tensors that become codes or that convolutions of codes read; ranges cover `part` of the frames."""
+    """Measure the tensors that become codes or that convolutions of codes read;
+    ranges cover `part` of the frames.
+    """
     names = sorted({*network.coded, *network.read})
     model = onnx.ModelProto()
     model.CopyFrom(network.model)

@@ -1,4 +1,5 @@
-"""Turn a float network into a graph on 8-bit codes without weights, which rounds the float weights added to it.
+"""Turn a float network into a graph on 8-bit codes without weights,
+which rounds the float weights added to it.
 
 docs/explanation/numerics.md describes the codes and lists the layers that stay in float32.
 """
@@ -30,9 +31,11 @@ class Channels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tensor:
-    """A tensor of the integer graph: a value is its channel's scale (C,) or (1,) times (code - `zero`).
+    """A tensor of the integer graph: a value is its channel's scale (C,) or (1,) times
+    (code - `zero`).
 
-    `zero` is an int for uint8 codes, and None for float32, which the scale in the next weights multiplies.
+    `zero` is an int for uint8 codes, and None for float32,
+    which the scale in the next weights multiplies.
     """
 
     name: str
@@ -110,9 +113,10 @@ class Network:
 def scales(network: Network, found: dict[str, Channels]) -> dict[str, Tensor]:
     """Choose scale and zero of the tensors that become codes.
 
-    A channel's scale is the geometric mean of what the channel itself needs and what the widest channel of its tensor
-    needs. This makes its codes finer, and the weights that absorb the scale are rounded hardly more coarsely. Where
-    tensors are added or float32 becomes codes, all channels share one scale.
+    A channel's scale is the geometric mean of what the channel itself needs and what the widest
+    channel of its tensor needs. This makes its codes finer, and the weights that absorb the scale
+    are rounded hardly more coarsely. Where tensors are added or float32 becomes codes, all channels
+    share one scale.
     """
     made = {}
     for name in network.coded:
@@ -126,7 +130,9 @@ def scales(network: Network, found: dict[str, Channels]) -> dict[str, Tensor]:
 
 
 class Graph:
-    """The integer graph, made node by node; inputs, outputs and weights keep their names of the float network."""
+    """The integer graph, made node by node; inputs,
+    outputs and weights keep their names of the float network.
+    """
 
     def __init__(self, network: Network, found: dict[str, Channels]) -> None:
         self.nodes: list[NodeProto] = []
@@ -154,7 +160,9 @@ class Graph:
         self._float(node, "Conv", self._cast(x), weight, *node.input[2:])
 
     def _of_codes(self, node: NodeProto, x: Tensor, coded: Tensor) -> Tensor:
-        """Make a convolution from codes to codes; it includes the ReLU, because codes are never below 0."""
+        """Make a convolution from codes to codes; it includes the ReLU,
+        because codes are never below 0.
+        """
         weight = self._scaled(node.input[1], x.scale)
         most = self._op("ReduceMax", self._op("Abs", weight), axes=[1, 2, 3], keepdims=1)
         most = self._op("Max", most, self._constant(np.float32(1e-9)))
@@ -162,7 +170,8 @@ class Graph:
         weight = self._op("Div", weight, step)
         rounded = self._op("Round", weight)
         step = self._op("Reshape", step, self._constant(np.array([-1])))
-        # The bias corrects the mean error that rounding the weights causes in the sums (Nagel et al., ICCV 2019).
+        # The bias corrects the mean error that rounding the weights causes in the sums
+        # (Nagel et al., ICCV 2019).
         mean = (self._found[node.input[0]].mean / x.scale).astype(np.float32).reshape(1, -1, 1, 1)
         lost = self._op("Mul", self._op("Sub", weight, rounded), self._constant(mean))
         bias = self._op("ReduceSum", lost, self._constant(np.array([1, 2, 3])), keepdims=0)
@@ -222,7 +231,8 @@ class Graph:
         self._made[node.output[0]] = Tensor(name, x.scale, x.zero)
 
     def _doubled(self, node: NodeProto) -> None:
-        """Double each cell in both directions by copies, five times as fast as the runtime's Resize.
+        """Double each cell in both directions by copies,
+        five times as fast as the runtime's Resize.
 
         Channels come last, because the runtime keeps codes in this order.
         """

@@ -6,9 +6,10 @@
     .venv-train/bin/python -m tools.training.make_data --out DATA --sensors 2400 [--frames 12]
 
 
-Shard k holds the sensors of the 24 seeds from FIRST_SEED + 24 k on, so the same command makes the same data. Shards
-from 5000 on (`--first-shard 5000`) hold uneven sensors, those from 10000 on more uneven ones, and those from 25000 on
-the sensors of `outside` (`samples.UNEVEN_FROM`, `WIDE_FROM`, `OUTSIDE_FROM`).
+Shard k holds the sensors of the 24 seeds from FIRST_SEED + 24 k on, so the same command makes the
+same data. Shards from 5000 on (`--first-shard 5000`) hold uneven sensors, those from 10000 on more
+uneven ones, and those from 25000 on the sensors of `outside` (`samples.UNEVEN_FROM`, `WIDE_FROM`,
+`OUTSIDE_FROM`).
 """
 
 from __future__ import annotations

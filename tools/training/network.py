@@ -1,4 +1,6 @@
-"""The networks: small U-Nets, whose input and output maps are folded (112x112 cells as 4 channels of 56x56: fold 2)."""
+"""The networks: small U-Nets, whose input and output maps are folded
+(112x112 cells as 4 channels of 56x56: fold 2).
+"""
 
 from __future__ import annotations
 
@@ -49,9 +51,9 @@ def even(widths: Sequence[int]) -> tuple[list[Widths], list[Widths]]:
 class U(nn.Module):
     """A U-Net: levels down, each with half as many cells per side, and up again.
 
-    The output of a lower level is joined to the skip connection. With `added` (Chaurasia and Culurciello 2017), it is
-    instead reduced to the connection's width before it is enlarged, and then added, which saves a quarter to a third
-    of the arithmetic.
+    The output of a lower level is joined to the skip connection. With `added` (Chaurasia and
+    Culurciello 2017), it is instead reduced to the connection's width before it is enlarged, and
+    then added, which saves a quarter to a third of the arithmetic.
     """
 
     def __init__(
@@ -89,11 +91,12 @@ class U(nn.Module):
 
 
 class Net(U):
-    """The depth network, from folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N), N = cells / fold.
+    """The depth network, from folded maps (B, 2 fold² + 6, N, N) to (B, 2 fold², N, N),
+    N = cells / fold.
 
-    The input holds the white of frame and reference, then the maps known for the sensor. The output holds 10 h / disc
-    radius, then contact logits; a second output holds the log odds that a cell does not show this sensor's skin,
-    (B, 1, COARSE_CELLS, COARSE_CELLS).
+    The input holds the white of frame and reference, then the maps known for the sensor. The output
+    holds 10 h / disc radius, then contact logits; a second output holds the log odds that a cell
+    does not show this sensor's skin, (B, 1, COARSE_CELLS, COARSE_CELLS).
     """
 
     def __init__(self, fold: int, down: Sequence[Widths], up: Sequence[Widths], cells: int) -> None:
@@ -120,7 +123,9 @@ class Net(U):
 
 @dataclass(frozen=True, slots=True)
 class ShearWidths:
-    """Widths of the shear network: of its block at 56x56 cells, and of the blocks of both U-Nets from 28x28 down."""
+    """Widths of the shear network: of its block at 56x56 cells,
+    and of the blocks of both U-Nets from 28x28 down.
+    """
 
     front: Widths
     first_down: tuple[Widths, ...]
@@ -139,12 +144,14 @@ SHEAR_WIDTHS = ShearWidths(
 
 
 class ShearNet(nn.Module):
-    """The shear network, from maps of 112x112 cells folded by 2 (as for `Net`) to the skin's motion along itself.
+    """The shear network, from maps of 112x112 cells folded by 2
+    (as for `Net`) to the skin's motion along itself.
 
-    The output is 10 times the shear along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS). Two U-Nets run in
-    series (Newell, Yang and Deng 2016), because an imprint shows its shear only up to whole pitches, and the
-    surroundings show how many pitches. One shear network serves all profiles. It runs only on request and shares
-    nothing with the depth network, which needs all of its few channels itself.
+    The output is 10 times the shear along x, y / disc radius, (B, 2, COARSE_CELLS, COARSE_CELLS).
+    Two U-Nets run in series (Newell, Yang and Deng 2016), because an imprint shows its shear only
+    up to whole pitches, and the surroundings show how many pitches. One shear network serves all
+    profiles. It runs only on request and shares nothing with the depth network, which needs all of
+    its few channels itself.
     """
 
     fold = 2

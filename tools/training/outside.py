@@ -1,7 +1,8 @@
-"""Sensors and presses as users have them: wide plates, soft domes, patterns that end before the rim, any camera.
+"""Sensors and presses as users have them: wide plates, soft domes,
+patterns that end before the rim, any camera.
 
-Most are TacTips with short pins, like most sensors in use. Each skin is solved once, because that takes the most time,
-and seen by several sensors with different prints, cameras and light.
+Most are TacTips with short pins, like most sensors in use. Each skin is solved once, because that
+takes the most time, and seen by several sensors with different prints, cameras and light.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ SIZES = ((240, 320), (480, 640), (120, 160), (128, 128))
 SIZE_SHARES = (0.56, 0.12, 0.16, 0.16)
 
 CIRCLE_AT_PRINT_PART = 0.7
-"""Among the sensors whose print ends before the rim, the share that is calibrated with the print's circle."""
+"""Among the sensors whose print ends before the rim,
+the share that is calibrated with the print's circle.
+"""
 CIRCLE_DEVIATION = 0.02
 """Standard deviation of the logarithm of a found circle's radius."""
 
@@ -44,7 +47,9 @@ Camera = Callable[[U8], U8]
 
 
 def soft_dome(seed: int) -> SensorModel:
-    """Draw a sensor's mechanics: decay lengths from a pitch to the whole dome, sway, a gel that keeps its volume."""
+    """Draw a sensor's mechanics: decay lengths from a pitch to the whole dome, sway,
+    a gel that keeps its volume.
+    """
     rng = np.random.default_rng((seed, 21))
 
     def draw(low: float, high: float) -> float:
@@ -105,7 +110,9 @@ def printed(dome: SensorModel, seed: int) -> SensorModel:
 
 
 class OutsideRenderer(Renderer):
-    """Draws a print that may end before the rim, perhaps under a ring of LEDs that the camera sees."""
+    """Draws a print that may end before the rim,
+    perhaps under a ring of LEDs that the camera sees.
+    """
 
     def __init__(self, model: SensorModel, rng: np.random.Generator) -> None:
         profile = PinProfile(()) if rng.random() < 0.6 else pin_outline(rng)
@@ -168,10 +175,11 @@ def _inner_part(marks: Print, model: SensorModel, part: float) -> Print:
 
 
 def found_circle(printed_part: float, rng: np.random.Generator) -> float:
-    """Draw the radius of the circle with which a sensor is calibrated, as part of the visible circle's.
+    """Draw the radius of the circle with which a sensor is calibrated,
+    as part of the visible circle's.
 
-    `calibrate` finds the circle by the pattern. Where the print ends before the rim, it often finds the print's circle,
-    and presses then move pins out of this circle.
+    `calibrate` finds the circle by the pattern. Where the print ends before the rim, it often finds
+    the print's circle, and presses then move pins out of this circle.
     """
     part = printed_part if rng.random() < CIRCLE_AT_PRINT_PART else 1.0
     return min(1.0, part * math.exp(float(rng.normal(0, CIRCLE_DEVIATION))))

@@ -1,4 +1,6 @@
-"""Make the training samples of a simulated sensor: random sensor, random presses, nuisances, maps."""
+"""Make the training samples of a simulated sensor:
+random sensor, random presses, nuisances, maps.
+"""
 
 from __future__ import annotations
 
@@ -46,11 +48,15 @@ from tools.training.varied import pin_outline, varied_model, varied_print
 TACTIP_PART, SMALL_PART, ORTHOGRAPHIC_PART, BULGING_PART = 0.12, 0.15, 0.06, 0.4
 
 UNEVEN_FROM = 200_000
-"""From this seed on, sensors also have skins with uneven stiffness, pins with a waist or a belly, and lattices that are
-stretched, or skewed with one marker per cell, so that the network trusts no skirt, pin or lattice too much."""
+"""From this seed on, sensors also have skins with uneven stiffness, pins with a waist or a belly,
+and lattices that are stretched, or skewed with one marker per cell, so that the network trusts no
+skirt, pin or lattice too much.
+"""
 
 WIDE_FROM = 300_000
-"""From this seed on, sensors are more uneven, their skins stiffen (or soften) under load, and marks are misplaced."""
+"""From this seed on, sensors are more uneven, their skins stiffen (or soften) under load,
+and marks are misplaced.
+"""
 
 VARIED_FROM = 400_000
 """From this seed on, sensors also have the features of `varied`."""
@@ -64,10 +70,11 @@ OUTSIDE_FROM = 650_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """F frames of one sensor as the network sees them (N, N), and the geometry that calibration found.
+    """F frames of one sensor as the network sees them (N, N),
+    and the geometry that calibration found.
 
-    `height` is h in disc radii, `shear` (F, N / 2, N / 2, 2) along x and y in disc radii at the middles of squares of
-    2x2 cells; both are 0 outside the disc.
+    `height` is h in disc radii, `shear` (F, N / 2, N / 2, 2) along x and y in disc radii at the
+    middles of squares of 2x2 cells; both are 0 outside the disc.
     """
 
     seen: Geometry
@@ -85,7 +92,9 @@ class Samples:
 
 
 def training_model(seed: int) -> SensorModel:
-    """Draw a sensor like `random_model`, but with wider ranges, so that sensors of `random_model` lie well inside."""
+    """Draw a sensor like `random_model`, but with wider ranges,
+    so that sensors of `random_model` lie well inside.
+    """
     rng = np.random.default_rng((seed, 11))
     size = (240, 320) if rng.random() < SMALL_PART else (480, 640)
     base = random_model(seed, *size)
@@ -124,7 +133,9 @@ def training_model(seed: int) -> SensorModel:
 def draw_unevenness(
     model: SensorModel, rng: np.random.Generator, wide: bool, varied: bool
 ) -> tuple[Unevenness, Renderer]:
-    """Draw a skin with uneven stiffness, another or a stretched lattice, and pins with a waist or a belly."""
+    """Draw a skin with uneven stiffness, another or a stretched lattice,
+    and pins with a waist or a belly.
+    """
     hardening = float(rng.uniform(-0.3, 2.5)) if wide and rng.random() < 0.6 else 0.0
     if varied:
         model = varied_model(model, rng)
@@ -168,7 +179,9 @@ def white_map(image: U8, mask: U8, disc: Disc, pitch_px: float) -> F32:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A calibrated sensor: `seen` is its geometry as calibration found it, `reference` its white at rest."""
+    """A calibrated sensor: `seen` is its geometry as calibration found it,
+    `reference` its white at rest.
+    """
 
     renderer: Renderer
     camera: Camera
@@ -187,7 +200,10 @@ class View:
 def calibrated(
     renderer: Renderer, camera_of: Camera, rng: np.random.Generator, circle: float = 1.0
 ) -> View | None:
-    """Take a sensor's reference; None if it shows no pattern for calibration. `circle` comes from `found_circle`."""
+    """Take a sensor's reference; None if it shows no pattern for calibration.
+
+    `circle` comes from `found_circle`.
+    """
     model = renderer.model
     clean = renderer.draw(undeformed(model.skin_radius_mm))
     images = [
@@ -241,9 +257,11 @@ def samples_of(
 
 
 def sensor_samples(seed: int, frames: int) -> list[Samples]:
-    """Make the samples of `VIEWS` sensors that see the same skins; they use this seed and the following ones.
+    """Make the samples of `VIEWS` sensors that see the same skins;
+    they use this seed and the following ones.
 
-    Skins take three quarters of the time of a frame. A sensor whose reference shows no pattern gives no samples.
+    Skins take three quarters of the time of a frame.
+    A sensor whose reference shows no pattern gives no samples.
     """
     return outside_samples(seed, frames) if seed >= OUTSIDE_FROM else usual_samples(seed, frames)
 

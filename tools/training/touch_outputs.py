@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Write graphs that pool the shipped integer graphs' activations for touch models, ``NAME.touch.onnx``.
+"""Write graphs that pool the shipped integer graphs' activations for touch models,
+``NAME.touch.onnx``.
 
 ::
 
     .venv-train/bin/python -m tools.training.touch_outputs
 
-The file is a graph with some nodes and one output, ``features``; appended to ``NAME.integer.onnx``, it gives one graph.
-The activations are those of the fourth convolution and of the first output, averaged over 7 x 7 places. Early
-activations suit any skin, whereas those between suit only the simulated skins that the networks were trained on.
+The file is a graph with some nodes and one output, ``features``; appended to ``NAME.integer.onnx``,
+it gives one graph. The activations are those of the fourth convolution and of the first output,
+averaged over 7 x 7 places. Early activations suit any skin, whereas those between suit only the
+simulated skins that the networks were trained on.
 """
 
 from __future__ import annotations

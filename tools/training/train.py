@@ -1,15 +1,17 @@
-"""Train the network on the shards of make_data.py; run it again to continue from the last checkpoint.
+"""Train the network on the shards of make_data.py;
+run it again to continue from the last checkpoint.
 
 ::
 
-    .venv-train/bin/python -m tools.training.train --data DATA --out RUN [--fold 4 --widths 16 32 48] [--steps 20000]
+    .venv-train/bin/python -m tools.training.train --data DATA --out RUN
+        [--fold 4 --widths 16 32 48] [--steps 20000]
 
-The first two shards of each kind of sensor are never trained on; they give the figures of each report. A batch depends
-only on the seed and its number, so an interrupted run continues with the batches that it would have seen (while the
-shards are the same). A run that is done only reports.
+The first two shards of each kind of sensor are never trained on; they give the figures of each
+report. A batch depends only on the seed and its number, so an interrupted run continues with the
+batches that it would have seen (while the shards are the same). A run that is done only reports.
 
-It begins when each kind has three shards. On a GPU, all frames lie in its memory, and a step is a CUDA graph. Several
-runs can share a GPU, and the shards may be made meanwhile.
+It begins when each kind has three shards. On a GPU, all frames lie in its memory, and a step is a
+CUDA graph. Several runs can share a GPU, and the shards may be made meanwhile.
 """
 
 from __future__ import annotations
@@ -75,7 +77,9 @@ def _blocks(net: Net | ShearNet) -> list[nn.Module]:
 
 
 def _measured(net: Net | ShearNet, conv: nn.Module, norm: nn.Module, inputs: list[Tensor]) -> None:
-    """Set a normalisation's statistics to those of its convolution's output, and its scale and shift to undo them."""
+    """Set a normalisation's statistics to those of its convolution's output,
+    and its scale and shift to undo them.
+    """
     seen: list[Tensor] = []
     hook = conv.register_forward_hook(
         lambda _module, _given, made: seen.append(made.transpose(0, 1).flatten(1))
@@ -147,7 +151,10 @@ class Run:
         self.take_in()
         if len(self.data) < len(KINDS):
             print(
-                f"{args.data}: waiting for {VALIDATION_SHARDS + 1} shards of each kind (make_data.py)",
+                (
+                    f"{args.data}: waiting for {VALIDATION_SHARDS + 1} shards of each kind "
+                    "(make_data.py)"
+                ),
                 flush=True,
             )
         while len(self.data) < len(KINDS):
@@ -295,7 +302,8 @@ class Run:
             loaded = load(more, args.fold, args.cells, args.device)
             self.data[kind] = joined([self.data[kind], loaded]) if known else loaded
             self.shards[kind] = [*known, *fresh]
-            # Users press their own sensors deep and drag them far, so all these frames are equally likely.
+            # Users press their own sensors deep and drag them far,
+            # so all these frames are equally likely.
             kept = self.data[kind]
             total = (
                 (torch.ones(len(kept.frame)) if kind == "outside" else kept.chances())
@@ -306,7 +314,9 @@ class Run:
 
 
 class Captured:
-    """A step that is captured as a CUDA graph after `CAPTURED_AFTER` calls and replayed from then on."""
+    """A step that is captured as a CUDA graph after `CAPTURED_AFTER` calls and replayed
+    from then on.
+    """
 
     def __init__(self, step: Callable[[Batch], Tensor]) -> None:
         self.step, self.calls = step, 0

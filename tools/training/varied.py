@@ -1,4 +1,6 @@
-"""Sensors unlike the simulator's usual ones: irregular pins and markers, pins with any outline, other skirts."""
+"""Sensors unlike the simulator's usual ones: irregular pins and markers, pins with any outline,
+other skirts.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def varied_model(model: SensorModel, rng: np.random.Generator) -> SensorModel:
 
 
 def varied_print(model: SensorModel, rng: np.random.Generator) -> Print:
-    """Place pins on a spiral, on rings, on a skewed lattice or at random, bend the pattern, and add markers between."""
+    """Place pins on a spiral, on rings, on a skewed lattice or at random, bend the pattern,
+    and add markers between.
+    """
     p, reach = model.pitch_mm, reach_mm(model) + 2 * model.pitch_mm
     count = int((reach / p) ** 2 * math.pi * float(rng.uniform(0.95, 1.15)))
     kind = rng.integers(4)
@@ -95,7 +99,9 @@ def pin_outline(rng: np.random.Generator) -> PinProfile:
 
 
 def _between(pins: F64, halves: bool) -> F64:
-    """Place markers in each triangle of neighbours, or where two triangles meet along their longest side."""
+    """Place markers in each triangle of neighbours,
+    or where two triangles meet along their longest side.
+    """
     corners = pins[Delaunay(pins).simplices]
     if not halves:
         return np.asarray(corners.mean(axis=1))

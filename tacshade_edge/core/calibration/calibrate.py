@@ -1,4 +1,6 @@
-"""Compute a `Calibration` from references and known presses, and repeat it when the program has changed."""
+"""Compute a `Calibration` from references and known presses,
+and repeat it when the program has changed.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,9 @@ from tacshade_edge.types import U8, Calibration, Fit, Geometry, Polarity
 FINE_PITCH_PX = 6.0
 """Pitch of the markers below which errors grow (docs/results/image-size.md)."""
 UNUSUAL_ERRORS = 1.4
-"""Error scale of the graded profile above which a warning is due (at most 1.34 on six sensors of the trained family,
-1.38 or more on six of the other)."""
+"""Error scale of the graded profile above which a warning is due (at most 1.34 on six sensors of
+the trained family, 1.38 or more on six of the other).
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +66,10 @@ def calibrate(
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
 ) -> CalibrationResult:
-    """Fit all that images show of a sensor from at least one image of the unloaded skin and any presses. `networks`:
-    those of the profiles to refit. Raises ConfigError if that cannot give a calibration.
+    """Fit all that images show of a sensor from at least one image of the unloaded skin and any
+    presses. `networks`: those of the profiles to refit.
+
+    Raises ConfigError if that cannot give a calibration.
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
@@ -192,7 +197,10 @@ def with_new_reference(inputs: Inputs, images: Sequence[U8]) -> Inputs:
 
 
 def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
-    """Repeat a calibration with the present program. Raises ConfigError if that can no longer use these inputs."""
+    """Repeat a calibration with the present program.
+
+    Raises ConfigError if that can no longer use these inputs.
+    """
     # The first calibration already warned of a loaded reference, or rejected it.
     made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
     return rezero(made, inputs.renewed, True) if inputs.renewed else made

@@ -1,5 +1,7 @@
-"""Place balls and indenters of other shapes, and compute where their surface lies in a press. Every shape but a ball is
-a closed surface of triangles; round sides have `SIDES` flats with corners on the circle, at most 3e-4 radii inside it.
+"""Place balls and indenters of other shapes, and compute where their surface lies in a press.
+
+Every shape but a ball is a closed surface of triangles; round sides have `SIDES` flats with corners
+on the circle, at most 3e-4 radii inside it.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ _LEVELS_MM = (0.0, 2.0, 8.0, 32.0, 128.0, 512.0)
 _LEAST_RANGE = 1e-3
 # The search for the first touch ends at a step below this (skin radii), or after this many steps.
 _TOUCH_STEP, _TOUCH_STEPS = 1e-9, 200
-# A cell this far outside a triangle, in its areas, counts as inside, so that rounding leaves no gap. Pairs are
-# processed in parts of this size, to bound the memory.
+# A cell this far outside a triangle, in its areas, counts as inside, so that rounding leaves no
+# gap. Pairs are processed in parts of this size, to bound the memory.
 _EDGE, _PAIRS = 1e-9, 1 << 20
 
 
@@ -57,7 +59,9 @@ class Ball:
 
 @frozen
 class Indenter:
-    """A solid in its own frame, of triangles (N, 3, 3): the lowest point has z = 0; z points away from the sensor."""
+    """A solid in its own frame, of triangles (N, 3, 3): the lowest point has z = 0;
+    z points away from the sensor.
+    """
 
     name: str
     triangles_mm: F64
@@ -65,7 +69,9 @@ class Indenter:
 
 @frozen
 class PlacedIndenter:
-    """An indenter in a press, in the sensor frame: its origin's place, depth as in PRESSES.csv, triangles (N, 3, 3)."""
+    """An indenter in a press, in the sensor frame:
+    its origin's place, depth as in PRESSES.csv, triangles (N, 3, 3).
+    """
 
     x_mm: float
     y_mm: float
@@ -79,7 +85,9 @@ class PlacedIndenter:
         return skin_radius_mm - float(np.linalg.norm(_nearest(self.triangles_mm)))
 
     def first_touch_mm(self, skin_radius_mm: float) -> float:
-        """Find the depth in mm at which it first touched the undeformed skin, moving along -z; else its own depth."""
+        """Find the depth in mm at which it first touched the undeformed skin, moving along -z;
+        else its own depth.
+        """
         if math.isinf(skin_radius_mm):
             return self.depth_mm + float(self.triangles_mm[..., 2].min())
         lifted, travel = self.triangles_mm + 0.0, 0.0
@@ -100,7 +108,9 @@ class PlacedIndenter:
         )
 
     def height_mm(self, rays: DiscRays, geometry: Geometry) -> F32:
-        """Heights h (rows, cols) where camera rays first meet the surface; NaN outside disc and undeformed skin."""
+        """Heights h (rows, cols) where camera rays first meet the surface;
+        NaN outside disc and undeformed skin.
+        """
         r, d = geometry.skin_radius_mm, geometry.camera_distance_mm
         lowest = self.triangles_mm[..., 2].min(axis=1)
         flat = geometry.skin == "pad"
@@ -151,12 +161,16 @@ def cone(name: str, angle_deg: float) -> Indenter:
 
 
 def mesh(name: str, triangles_mm: F64) -> Indenter:
-    """Make an indenter of triangles (float64 (N, 3, 3), N at least 1), shifted so that its lowest point has z = 0."""
+    """Make an indenter of triangles (float64 (N, 3, 3), N at least 1),
+    shifted so that its lowest point has z = 0.
+    """
     return Indenter(name, triangles_mm - (0.0, 0.0, float(triangles_mm[..., 2].min())))
 
 
 def skin_z_mm(skin_radius_mm: float, x_mm: float, y_mm: float) -> float:
-    """The undeformed skin's z at (x, y), mm; 0 beside a dome and on a pad, whose radius is infinite."""
+    """The undeformed skin's z at (x, y), mm; 0 beside a dome and on a pad,
+    whose radius is infinite.
+    """
     if math.isinf(skin_radius_mm):
         return 0.0
     return math.sqrt(max(skin_radius_mm**2 - x_mm**2 - y_mm**2, 0.0))
@@ -172,9 +186,10 @@ def place(
     tilt_x_deg: float = 0.0,
     tilt_y_deg: float = 0.0,
 ) -> PlacedIndenter:
-    """Place an indenter as a row of PRESSES.csv states (docs/reference/calibration-files.md): turned by yaw about z
-    (from x towards y), then tilted about x, then y, all through its origin, which is then shifted over (x, y) until its
-    lowest point lies `depth_mm` under the undeformed skin at (x, y).
+    """Place an indenter as a row of PRESSES.csv states (docs/reference/calibration-files.md):
+    turned by yaw about z (from x towards y), then tilted about x, then y, all through its origin,
+    which is then shifted over (x, y) until its lowest point lies `depth_mm` under the undeformed
+    skin at (x, y).
     """
     a, b, c = (math.radians(angle) for angle in (yaw_deg, tilt_x_deg, tilt_y_deg))
     about_z = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
@@ -193,8 +208,8 @@ def stated_ball(
 
 
 def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: float) -> Ball:
-    """Place a ball in the direction from O of the middle of its contact, which is also that of its centre; on a pad,
-    `along` is that middle.
+    """Place a ball in the direction from O of the middle of its contact, which is also that of its
+    centre; on a pad, `along` is that middle.
     """
     if math.isinf(skin_radius_mm):
         return stated_ball(skin_radius_mm, float(along[0]), float(along[1]), depth_mm, radius_mm)
@@ -212,7 +227,9 @@ def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: fl
 
 
 def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS) -> F32:
-    """Height h of an indenter at the map's cells, mm; NaN or below 0 where it is not inside the undeformed skin."""
+    """Height h of an indenter at the map's cells, mm;
+    NaN or below 0 where it is not inside the undeformed skin.
+    """
     rays = disc_rays(disc_map.map_grid(geometry.disc, cells), geometry)
     if not isinstance(placed, Ball):
         return placed.height_mm(rays, geometry)
@@ -223,8 +240,8 @@ def known_height(geometry: Geometry, placed: Placed, cells: int = disc_map.CELLS
 
 
 def ball_height_along(geometry: Geometry, ball: Ball, u: F64, v: F64) -> F64:
-    """Height h of the ball's surface along rays (u, v) of `DiscRays`, mm; NaN where a ray misses it. By components,
-    because numpy sums over an axis of three many times slower.
+    """Height h of the ball's surface along rays (u, v) of `DiscRays`, mm; NaN where a ray misses
+    it. By components, because numpy sums over an axis of three many times slower.
     """
     if geometry.camera_distance_mm is None:
         origin = (u, v, np.zeros_like(u))
@@ -259,7 +276,9 @@ def level(outline: F64, z_mm: float) -> F64:
 
 
 def surface(rings: Sequence[F64]) -> F64:
-    """Triangles (N, 3, 3), counter-clockwise from outside, of rings (N, 3), the lowest first; both ends are closed."""
+    """Triangles (N, 3, 3), counter-clockwise from outside, of rings (N, 3), the lowest first;
+    both ends are closed.
+    """
     faces = []
     for low, high in itertools.pairwise(rings):
         low_after, high_after = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
@@ -296,7 +315,9 @@ def _share(p: F64, q: F64) -> F64:
 
 
 def _upper_envelope(triangles: F64, x: F64, y: F64) -> F64:
-    """The highest z of triangles (N, 3, 3) over each point of a grid with axes x (cols,) and y (rows,); NaN off all."""
+    """The highest z of triangles (N, 3, 3) over each point of a grid with axes x (cols,) and y
+    (rows,); NaN off all.
+    """
     highest = np.full((len(y), len(x)), -np.inf)
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     col0, row0 = np.searchsorted(x, low[:, 0]), np.searchsorted(y, low[:, 1])
@@ -339,7 +360,9 @@ _STEPS = 48  # rings of a shape that is round below
 
 @frozen
 class Printable:
-    """An indenter to print: its entry in INDENTERS.yaml; its triangles, counter-clockwise from outside; stem up."""
+    """An indenter to print: its entry in INDENTERS.yaml;
+    its triangles, counter-clockwise from outside; stem up.
+    """
 
     name: str
     entry: Mapping[str, str | float]
@@ -347,7 +370,9 @@ class Printable:
 
 
 def printables() -> tuple[Printable, ...]:
-    """Make the indenters for a skin of radius 20 mm: balls, flat ends, a square, a lying bar, a cone."""
+    """Make the indenters for a skin of radius 20 mm:
+    balls, flat ends, a square, a lying bar, a cone.
+    """
     made = []
     for radius_mm in (3.0, 6.0, 9.0):
         neck_mm = min(STEM_RADIUS_MM, _NECK * radius_mm)
@@ -387,7 +412,9 @@ class Planned:
 
 
 def planned_presses() -> tuple[Planned, ...]:
-    """Plan five presses with each of `printables`, whose places form a sunflower out to `_REACH_MM` (Vogel 1979)."""
+    """Plan five presses with each of `printables`,
+    whose places form a sunflower out to `_REACH_MM` (Vogel 1979).
+    """
     names = [each.name for each in printables()]
     count, golden = len(names) * len(_DEPTHS_MM), math.pi * (3 - math.sqrt(5))
     presses = []
@@ -416,7 +443,9 @@ def _on_a_stem(name: str, entry: Mapping[str, str | float], rings: list[F64]) ->
 
 
 def _rectangle(length_mm: float, width_mm: float) -> F64:
-    """Corners (SIDES, 2) on a rectangle around the origin, counter-clockwise from x, like `circle`."""
+    """Corners (SIDES, 2) on a rectangle around the origin, counter-clockwise from x,
+    like `circle`.
+    """
     angle = 2 * math.pi * np.arange(SIDES) / SIDES
     unit = np.column_stack((np.cos(angle), np.sin(angle)))
     on_square = unit / np.abs(unit).max(axis=1, keepdims=True)

@@ -12,8 +12,8 @@ from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """SENSOR.yaml, with a pad as in `Geometry`; stated circle, polarity, binarisation and, for ``--fit``, `print_mm`
-    override what is found.
+    """SENSOR.yaml, with a pad as in `Geometry`; stated circle, polarity, binarisation and, for
+    ``--fit``, `print_mm` override what is found.
     """
 
     skin_radius_mm: float
@@ -30,7 +30,10 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPress:
-    """An image and its row of PRESSES.csv. A ball has a radius, no indenter, and no x and y if the image locates it."""
+    """An image and its row of PRESSES.csv.
+
+    A ball has a radius, no indenter, and no x and y if the image locates it.
+    """
 
     name: str
     image: U8
@@ -55,7 +58,9 @@ class KnownPress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """A calibration's input, in grey, to repeat it; `renewed` is of the latest ``calibrate --rezero``."""
+    """A calibration's input, in grey, to repeat it;
+    `renewed` is of the latest ``calibrate --rezero``.
+    """
 
     sensor: Sensor
     references: tuple[U8, ...]

@@ -1,4 +1,6 @@
-"""Place and depth of presses by a machine that shows travel from first touch, or by a robot on a fixed indenter."""
+"""Place and depth of presses by a machine that shows travel from first touch,
+or by a robot on a fixed indenter.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,10 @@ from tacshade_edge.types import F64, frozen
 
 
 def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
-    """Convert the depth of a press from travel since first touch to that of PRESSES.csv: 0 or less if the indenter's
-    lowest point is still above the skin. Raises ConfigError if the press states no place over the skin.
+    """Convert the depth of a press from travel since first touch to that of PRESSES.csv: 0 or less
+    if the indenter's lowest point is still above the skin.
+
+    Raises ConfigError if the press states no place over the skin.
     """
     r = skin_radius_mm
     if math.isinf(r):
@@ -41,19 +45,26 @@ class Touch:
 
 @frozen
 class FixedIndenter:
-    """A ball's centre, or another indenter's lowest point, in the base frame; the sensor's pose at the stated press."""
+    """A ball's centre, or another indenter's lowest point, in the base frame;
+    the sensor's pose at the stated press.
+    """
 
     point_mm: F64
     ball_radius_mm: float
     base_T_sensor: Rigid
 
     def turned_deg(self, base_T_sensor: Rigid) -> float:
-        """The angle between the sensor's orientation and that at the press with a stated place; degrees."""
+        """The angle between the sensor's orientation and that at the press with a stated place;
+        degrees.
+        """
         turn = self.base_T_sensor.rotation.T @ base_T_sensor.rotation
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 
     def touch(self, base_T_sensor: Rigid, skin_radius_mm: float) -> Touch:
-        """The press of a sensor held at this pose. Raises ValueError if the indenter is not over the skin."""
+        """The press of a sensor held at this pose.
+
+        Raises ValueError if the indenter is not over the skin.
+        """
         x_mm, y_mm, z_mm = (float(v) for v in base_T_sensor.inverse().apply(self.point_mm))
         return Touch(
             x_mm, y_mm, _over_skin_mm(x_mm, y_mm, skin_radius_mm) - (z_mm - self.ball_radius_mm)
@@ -63,7 +74,10 @@ class FixedIndenter:
 def fixed_indenter(
     base_T_sensor: Rigid, stated: Touch, ball_radius_mm: float, skin_radius_mm: float
 ) -> FixedIndenter:
-    """The indenter that makes the stated press. Raises ValueError if the press is not over the skin."""
+    """The indenter that makes the stated press.
+
+    Raises ValueError if the press is not over the skin.
+    """
     z_mm = (
         _over_skin_mm(stated.x_mm, stated.y_mm, skin_radius_mm) - stated.depth_mm + ball_radius_mm
     )

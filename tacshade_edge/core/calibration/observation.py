@@ -1,7 +1,9 @@
-"""What the image of a press shows, next to the stated values. The white ratio follows the skin's local shape, not its
-depth. What grows with depth is how much skin changed: the brightening inside the contact, and even more the darkening
-of its rim, which wide and narrow objects share. The screened Poisson equation sums both over a neighbourhood (P. Bhat
-et al., ECCV 2008).
+"""What the image of a press shows, next to the stated values.
+
+The white ratio follows the skin's local shape, not its depth. What grows with depth is how much
+skin changed: the brightening inside the contact, and even more the darkening of its rim, which wide
+and narrow objects share. The screened Poisson equation sums both over a neighbourhood (P. Bhat et
+al., ECCV 2008).
 """
 
 from __future__ import annotations
@@ -19,18 +21,20 @@ from tacshade_edge.core.geometry.disc import DiscRays, skin_points
 from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.types import F32, F64, Geometry
 
-# χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening, plus a floor (grey levels), so that a contact without a
-# visible rim has a depth; ℓ of the screened Poisson equation, in skin sizes.
+# χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening, plus a floor (grey levels), so that a
+# contact without a visible rim has a depth; ℓ of the screened Poisson equation, in skin sizes.
 DARKENING_WEIGHT, DARKENING_FLOOR, REACH_RADII = 0.5, 0.3, 0.4
-# Part of the reach for the brightening, so that the bright spots between pins merge into one patch. Skin around a
-# contact's dark rim brightens a little too: subtract this much (grey levels).
+# Part of the reach for the brightening, so that the bright spots between pins merge into one patch.
+# Skin around a contact's dark rim brightens a little too: subtract this much (grey levels).
 BRIGHTENING_REACH, LEAST_BRIGHTENING = 0.22, 6.0
 # Radius of a usual ball, in skin sizes.
 _USUAL_BALL_RADII = 0.3
 
 
 def screened_poisson(change: F32, reach_cells: float) -> F32:
-    """Solve ψ - ℓ² ∇²ψ = change by a cosine transform (mirrored borders): a mean over a neighbourhood of ℓ cells."""
+    """Solve ψ - ℓ² ∇²ψ = change by a cosine transform (mirrored borders): a mean over a
+    neighbourhood of ℓ cells.
+    """
     rows, cols = change.shape
     even = cv2.copyMakeBorder(
         change, 0, rows % 2, 0, cols % 2, cv2.BORDER_REPLICATE
@@ -97,7 +101,8 @@ class PressObservation:
         math.nan
     )  # radius that fits the heights best, at any factor on them, over the stated one
     misfit_ratio: float = 1.0  # how many times worse the stated radius fits
-    # (3, N): column and row from the disc's centre in px, and height in mm, of the cells where a network sees contact
+    # (3, N): column and row from the disc's centre in px, and height in mm,
+    # of the cells where a network sees contact
     seen_cells: F64 = field(default_factory=lambda: np.zeros((3, 0)), compare=False)
 
     @property
@@ -158,7 +163,9 @@ def observe_press(
 
 
 def _reach_mm(placed: PlacedIndenter, rays: DiscRays, geometry: Geometry) -> float:
-    """Greatest distance from (x, y) at which an indenter is visible inside the undeformed skin, mm; 0 if nowhere."""
+    """Greatest distance from (x, y) at which an indenter is visible inside the undeformed skin, mm;
+    0 if nowhere.
+    """
     height = placed.height_mm(rays, geometry)
     x, y, _ = skin_points(height, rays, geometry)[np.isfinite(height)].T
     return float(np.hypot(x - placed.x_mm, y - placed.y_mm).max(initial=0.0))
@@ -176,7 +183,9 @@ def position_mae_mm(observations: Sequence[PressObservation]) -> float:
 
 
 def first_touch_mm(observations: Sequence[PressObservation], geometry: Geometry) -> F64:
-    """Depth (as in PRESSES.csv) at which each indenter first touches, mm: for a ball 0 on the axis, less off it."""
+    """Depth (as in PRESSES.csv) at which each indenter first touches, mm:
+    for a ball 0 on the axis, less off it.
+    """
     r = geometry.skin_radius_mm
     return np.array(
         [

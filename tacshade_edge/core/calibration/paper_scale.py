@@ -1,7 +1,9 @@
-"""The paper's α from presses: "the ratio between the ground-truth contact depth and the maximum estimated depth".
+"""The paper's α from presses: "the ratio between the ground-truth contact depth
+and the maximum estimated depth".
 
-Eqs. 10 and 11 scale every contact to a greatest height of 1, so a constant α gives every press the same depth. The
-greatest g_d hardly grows with depth either; its RMS over the disc does, in proportion.
+Eqs. 10 and 11 scale every contact to a greatest height of 1, so a constant α gives every press the
+same depth. The greatest g_d hardly grows with depth either; its RMS over the disc does, in
+proportion.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ _GREY_MAX = 255.0
 
 
 def with_paper_scale(calibration: Calibration, presses: Sequence[KnownPress]) -> Calibration:
-    """The calibration with α for the mean depth of at least one press, and the change to which that belongs."""
+    """The calibration with α for the mean depth of at least one press,
+    and the change to which that belongs.
+    """
     preprocessor = Preprocessor(calibration, PROFILES["paper"])
     mapper = GreyMapper(preprocessor)
     depths_mm = np.array([press.depth_mm for press in presses])

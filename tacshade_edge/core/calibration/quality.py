@@ -1,4 +1,6 @@
-"""Grade a calibration in one line, with advice: do presses cover disc, depths and sizes, and how well do they fit?"""
+"""Grade a calibration in one line, with advice: do presses cover disc, depths and sizes,
+and how well do they fit?
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,11 @@ from tacshade_edge.types import F64, Fit, Geometry
 
 # docs/how-to/calibration.md advises at least this many.
 _FEW_PRESSES = 16
-# As part of the visible circle's radius: reach of the presses, their least RMS distance from their mean, and least
-# reach on each side.
+# As part of the visible circle's radius: reach of the presses, their least RMS distance from their
+# mean, and least reach on each side.
 _REACH_RHO, _LEAST_RMS_RHO, _SIDE_RHO = 0.66, 0.35, 0.25
-# As part of the skin's radius: depths and ball radii to advise, and the least depth of the deepest press.
+# As part of the skin's radius: depths and ball radii to advise,
+# and the least depth of the deepest press.
 _DEPTHS, _BALL_RADII, _LEAST_DEEPEST = (1 / 40, 1 / 5), (0.15, 0.45), 0.12
 # Least ratio of the greatest to the smallest.
 _DEPTH_RATIO, _BALL_RADIUS_RATIO = 2.0, 1.5
@@ -26,8 +29,9 @@ Grade = Literal["good", "fair", "poor", "uncalibrated"]
 
 GRADED_PROFILE = "accurate"
 """The profile whose error grades a calibration."""
-# On the nominal skin: mean depth error, and how well the presses agree with each other. `tools/studies/calibration.py`
-# measures both for good presses and for presses stated 0.3 and 0.6 mm off (table in calibration-checks.md).
+# On the nominal skin: mean depth error, and how well the presses agree with each other.
+# `tools/studies/calibration.py` measures both for good presses and for presses stated 0.3 and 0.6
+# mm off (table in calibration-checks.md).
 _DEPTH_GOOD_MM, _DEPTH_FAIR_MM = 0.30, 0.50
 _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
@@ -83,14 +87,19 @@ def _missing_sizes(presses: Sequence[PressObservation], geometry: Geometry) -> s
     low_mm, high_mm = (part * geometry.size_mm for part in _BALL_RADII)
     used = indenters.pop()
     if radii:
-        used = f"balls of radius {min(radii):g}{f' to {max(radii):g}' if max(radii) > min(radii) else ''} mm"
+        used = (
+            "balls of radius "
+            f"{min(radii):g}{f' to {max(radii):g}' if max(radii) > min(radii) else ''} mm"
+        )
     wanted = f"balls of {low_mm:.0f} to {high_mm:.0f} mm"
     return f"all presses use {used}: other sizes and shapes are less certain; add {wanted}"
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """A grade, the line that explains it, and advice, most useful first (empty if the grade is good)."""
+    """A grade, the line that explains it, and advice,
+    most useful first (empty if the grade is good).
+    """
 
     grade: Grade
     line: str
@@ -99,7 +108,10 @@ class Quality:
 
 UNCALIBRATED = Quality(
     "uncalibrated",
-    "uncalibrated: depth assumes an average sensor of this kind; only --presses can measure its error on this one",
+    (
+        "uncalibrated: depth assumes an average sensor of this kind; only --presses can measure "
+        "its error on this one"
+    ),
     ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/how-to/calibration.md)",),
 )
 """The quality of a calibration without presses."""
@@ -108,11 +120,16 @@ UNCALIBRATED = Quality(
 def assess(
     fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]
 ) -> Quality:
-    """Grade a fit to presses, given what they do not cover, and the depth error of each in the graded profile."""
+    """Grade a fit to presses, given what they do not cover,
+    and the depth error of each in the graded profile.
+    """
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
             "poor",
-            "poor: the learned profiles find the contact at the indenter in too few presses for a fit",
+            (
+                "poor: the learned profiles find the contact at the indenter in too few presses "
+                "for a fit"
+            ),
             ("look at the presses' images, places and depths, and at SENSOR.yaml",),
         )
     profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
@@ -121,14 +138,15 @@ def assess(
     is_fair = depth <= _DEPTH_FAIR_MM and agreement <= AGREEMENT_FAIR_MM
     grade: Grade = "poor" if not is_fair else "good" if is_good else "fair"
     line = (
-        f"{grade}: depth is within {_rounded_up(profile.depth_mae_mm)} mm of the stated depth on average, "
-        f"{_rounded_up(profile.depth_worst_mm)} mm at worst, on held-out presses (profile {GRADED_PROFILE})"
+        f"{grade}: depth is within {_rounded_up(profile.depth_mae_mm)} mm of the stated depth on "
+        f"average, {_rounded_up(profile.depth_worst_mm)} mm at worst, on held-out presses (profile "
+        f"{GRADED_PROFILE})"
     )
     advice = list(missing)
     if agreement > _AGREEMENT_GOOD_MM:
         advice.append(
-            f"the presses agree with each other only within {_rounded_up(fit.agreement_mae_mm)} mm: "
-            "measure their depths and places more exactly"
+            f"the presses agree with each other only within {_rounded_up(fit.agreement_mae_mm)} "
+            "mm: measure their depths and places more exactly"
         )
     if depth > _DEPTH_GOOD_MM:
         worst = sorted(errors_mm, key=lambda press: -abs(press[1]))[:_TO_REPEAT]

@@ -1,11 +1,12 @@
-"""Refit a learned profile to known presses in closed form, and measure its errors on presses left out of the refit. A
-network is off on a sensor that it never saw by a nearly constant factor. Each press shows it where the indenter's
-surface is known and the network sees contact. The mean of the logarithms is robust (P. J. Huber, Ann. Math. Stat. 35,
-1964) and shrinks towards 0 as their spread allows, and as shapes differ: a small factor is nearly dropped, a large one
-stays; its own square is the prior's variance (empirical Bayes). The error scale is a sensor's factor on σ
-(`core.depth.sigma`), from the quantile of errors that the 90 % interval must hold, as in split conformal prediction
-(Vovk, Gammerman and Shafer 2005). Later contacts have other shapes and larger errors, so a line fitted on simulated
-sensors converts the quantile to the scale.
+"""Refit a learned profile to known presses in closed form, and measure its errors on presses left
+out of the refit. A network is off on a sensor that it never saw by a nearly constant factor. Each
+press shows it where the indenter's surface is known and the network sees contact. The mean of the
+logarithms is robust (P. J. Huber, Ann. Math. Stat. 35, 1964) and shrinks towards 0 as their spread
+allows, and as shapes differ: a small factor is nearly dropped, a large one stays; its own square is
+the prior's variance (empirical Bayes). The error scale is a sensor's factor on σ
+(`core.depth.sigma`), from the quantile of errors that the 90 % interval must hold, as in split
+conformal prediction (Vovk, Gammerman and Shafer 2005). Later contacts have other shapes and larger
+errors, so a line fitted on simulated sensors converts the quantile to the scale.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, F64, Bool, Calibration, Geometry, ProfileFit
 
 SHAPE_DEVIATION = 0.08
-"""Standard deviation of log factor from that of other shapes, also dragged: 0.03 to 0.07 on 16 simulated sensors of two
-families, where 0.06 to 0.1 gain the same.
+"""Standard deviation of log factor from that of other shapes, also dragged: 0.03 to 0.07 on 16
+simulated sensors of two families, where 0.06 to 0.1 gain the same.
 """
 # Least standard deviation of log factor over the presses of a sensor.
 _LEAST_DEVIATION = 0.05
@@ -40,7 +41,8 @@ _HUBER, _ITERATIONS = 1.5, 20
 LEAST_CELLS, LEAST_PRESSES = 12, 5
 # Cells count only where the network and the indenter are deeper than this (mm on the nominal skin).
 LEAST_FOUND_MM, LEAST_TRUE_MM = 0.05, 0.1
-# The error of h grows with depth; beyond this depth it is mostly proportional (mm on the nominal skin).
+# The error of h grows with depth; beyond this depth it is mostly proportional
+# (mm on the nominal skin).
 PROPORTIONAL_MM = 0.5
 # No known sensor needs a factor outside this range.
 FACTOR_RANGE = (0.3, 3.0)
@@ -50,7 +52,9 @@ _UNLIKE_PART = 0.03
 
 
 def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
-    """The unit vector from O to the middle of the contact, on a pad that middle; None if there is hardly a contact."""
+    """The unit vector from O to the middle of the contact, on a pad that middle;
+    None if there is hardly a contact.
+    """
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     contact = (inverse.contact_logit > 0) & rays.inside
     if np.count_nonzero(contact) < LEAST_CELLS:
@@ -63,12 +67,15 @@ def contact_direction(geometry: Geometry, inverse: Inverse) -> F64 | None:
 def press_factor(
     inverse: Inverse, geometry: Geometry, placed: Placed
 ) -> tuple[float, float] | None:
-    """The weight of a press in `fit_factor` and its factor; None if contact and indenter hardly overlap."""
+    """The weight of a press in `fit_factor` and its factor;
+    None if contact and indenter hardly overlap.
+    """
     truth, use = known_cells(inverse, geometry, placed)
     cells = int(np.count_nonzero(use))
     if cells < LEAST_CELLS:
         return None
-    # All presses count alike, except that deep ones count a little less: their error in mm is larger.
+    # All presses count alike, except that deep ones count a little less:
+    # their error in mm is larger.
     depth_mm = placed.depth_max_mm(geometry.skin_radius_mm) / skin_scale(geometry)
     weight = 1 / math.sqrt(cells * (PROPORTIONAL_MM + depth_mm))
     found, target = (each[use].astype(np.float64) * weight for each in (inverse.height_mm, truth))
@@ -86,7 +93,9 @@ def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F
 
 
 def fit_factor(presses: Sequence[tuple[float, float]]) -> float | None:
-    """Fit the factor on h by a robust mean over presses (`press_factor`) and a prior; None if there are too few."""
+    """Fit the factor on h by a robust mean over presses (`press_factor`) and a prior;
+    None if there are too few.
+    """
     if len(presses) < LEAST_PRESSES:
         return None
     squares, factors = np.array(presses).T
@@ -127,13 +136,17 @@ def errors_in_sigma(
 
 
 def error_scale(model: SigmaModel, presses: Sequence[F64]) -> float:
-    """The error scale from `errors_in_sigma` of at least one press, none of them empty; presses count alike."""
+    """The error scale from `errors_in_sigma` of at least one press, none of them empty;
+    presses count alike.
+    """
     scale = math.exp(model.press_offset + model.press_slope * math.log(press_q(presses)))
     return min(max(scale, _SCALE_RANGE[0]), _SCALE_RANGE[1])
 
 
 def press_q(presses: Sequence[F64]) -> float:
-    """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1; above 0."""
+    """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1;
+    above 0.
+    """
     errors = np.concatenate(presses)
     weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
     return max(_weighted_quantile(errors, weights, 0.9) / INTERVAL_90, 1e-3)
@@ -168,7 +181,8 @@ def refit_profile(
         parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
         if parts[-1] > UNTRUSTED_UNLEARNT:
             warnings.append(
-                f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; left out"
+                f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; "
+                "left out"
             )
             continue
         at = placed_press(geometry, inverse, press)
@@ -226,7 +240,9 @@ def _errors_in_sigma(
 
 
 def placed_press(geometry: Geometry, inverse: Inverse, press: KnownPress) -> Placed | None:
-    """The indenter of a press at its stated place; a ball without one is located, or None if that fails."""
+    """The indenter of a press at its stated place;
+    a ball without one is located, or None if that fails.
+    """
     if press.indenter or press.x_mm is not None:
         return press.placed(geometry.skin_radius_mm)
     along = contact_direction(geometry, inverse)

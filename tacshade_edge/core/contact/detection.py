@@ -14,20 +14,23 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, Bool, RestLimits
 
 MOVING_PART, MOVED_RADII, LOCAL = 0.4, 0.025, 0.02
-"""A tip moves if a shift and turn of the whole pattern explain this part of the change, go this far,
-and leave no greater local change, in shares of white (a rest shows a limit of its own). Real tips
-that sway show up to 0.9, 0.03 to 0.04 and at most 0.01; presses of a real dome are explained up to
-0.3, simulated ones up to 0.12, dragged ones too; those of a real pad that are explained so far move
-the pattern less, or leave more."""
+"""A tip moves if a shift and turn of the whole pattern explain this part of the change, go this
+far, and leave no greater local change, in shares of white (a rest shows a limit of its own). Real
+tips that sway show up to 0.9, 0.03 to 0.04 and at most 0.01; presses of a real dome are explained
+up to 0.3, simulated ones up to 0.12, dragged ones too; those of a real pad that are explained so
+far move the pattern less, or leave more.
+"""
 PRESSED_PART = 0.03
 """Part of the disc that a touch presses at least: a patch of 3 mm radius on a skin of 20 mm."""
 FAINT_GLARE = 6.0
-"""Levels by which light lifts the darkest pixels of a place, unless more of the picture changed than
-a spot covers. Rest, drift and presses reach 4, simulated and real, faint glare 7 to 30, but for spots
-of a few pixels."""
+"""Levels by which light lifts the darkest pixels of a place, unless more of the picture changed
+than a spot covers. Rest, drift and presses reach 4, simulated and real, faint glare 7 to 30, but
+for spots of a few pixels.
+"""
 DENT_PART, DENT_S = 0.15, 3.0
-"""A soft skin keeps 2 to 10 % of a press for a few seconds: after a contact, only heights above this
-part of its depth are a touch for that time."""
+"""A soft skin keeps 2 to 10 % of a press for a few seconds: after a contact, only heights above
+this part of its depth are a touch for that time.
+"""
 
 
 class TouchDetector:
@@ -62,7 +65,9 @@ class TouchDetector:
         return last_ns is None or not 0 < t_ns - last_ns <= DENT_S * 1e9
 
     def moving(self, depth: Depth, white: F32) -> Reason | None:
-        """Why a contact is only a motion of the tip; None if it is a contact, as whatever goes beyond the rest."""
+        """Why a contact is only a motion of the tip;
+        None if it is a contact, as whatever goes beyond the rest.
+        """
         motion = self._motion(white)
         limits = self._limits
         if motion is None or limits is None or self._height_mm(depth) <= limits.height_mm:

@@ -1,7 +1,8 @@
 """Save time on frames in which nothing touches: the gate decides nothing that a network would see.
 
-Every profile has the same gate, on the same halved pictures. It asks how much of the skin's picture changed, and closes
-only where a network would find nothing as deep as docs/results/limits.md promises.
+Every profile has the same gate, on the same halved pictures. It asks how much of the skin's picture
+changed, and closes only where a network would find nothing as deep as docs/results/limits.md
+promises.
 """
 
 from __future__ import annotations
@@ -19,21 +20,27 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, U8, Calibration, Disc
 
 GATE_PART, GATE_NOISE = 0.04, 6.0
-"""Part of the pixels that must have changed to ask a network, beyond what the references show and this many times
-their noise (of 255). The least change in which a network found 0.3 mm: 0.07 to 0.27. The most at rest: 0.01; warm-up
-0.05, the dent that a release leaves 0.18, moved by 1 px 0.12 at 640x480 and 0.23 at 320x240."""
+"""Part of the pixels that must have changed to ask a network, beyond what the references show and
+this many times their noise (of 255). The least change in which a network found 0.3 mm: 0.07 to
+0.27. The most at rest: 0.01; warm-up 0.05, the dent that a release leaves 0.18, moved by 1 px 0.12
+at 640x480 and 0.23 at 320x240.
+"""
 PLAIN_PART, PLAIN_NOISE = 0.13, 24.0  # the same, for a contact where no network decides
 SURE_PART = 0.3  # part of the pixels beyond which no network need decide whether there is a contact
 GATE_MM2 = 3.0  # least area of skin that has changed
 UNCHANGED_LEVELS = 8.0
-"""Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6, four deviations. A
-press that grows by a few hundredths of a millimetre changes more, so no contact is found later."""
+"""Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6,
+four deviations. A press that grows by a few hundredths of a millimetre changes more, so no contact
+is found later.
+"""
 _AROUND = 1.35
 
 
 class ContactGate:
-    """The gate of one sensor, with the preprocessor of its images (`gate_preprocessor`). `least_part`, `plain_part`:
-    part of the pixels that must have changed for a network to look, and for a contact without one.
+    """The gate of one sensor, with the preprocessor of its images (`gate_preprocessor`).
+
+    `least_part`, `plain_part`: part of the pixels that must have changed for a network to look, and
+    for a contact without one.
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
@@ -75,8 +82,9 @@ def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocess
 
 
 class UnchangedSkin:
-    """The latest untouched skin judged in full, and why it was `degraded`; it saves judging most frames: all judges
-    give the same result. Frames are compared with that one, so slow changes add up.
+    """The latest untouched skin judged in full, and why it was `degraded`; it saves judging most
+    frames: all judges give the same result. Frames are compared with that one, so slow changes add
+    up.
     """
 
     def __init__(self, shape: tuple[int, ...], disc: Disc, halved: bool) -> None:

@@ -1,4 +1,5 @@
-"""Whether a frame's white changed in one place, as by a touch, or as a whole, as by a tip that sways.
+"""Whether a frame's white changed in one place, as by a touch, or as a whole,
+as by a tip that sways.
 
 A soft tip in flight shifts and turns its whole pattern. To first order that adds the pattern's
 gradients to the white, so one least-squares step says how much of a change it explains, and what
@@ -18,7 +19,9 @@ from tacshade_edge.core.geometry.disc_map import REACH
 from tacshade_edge.types import F32, Bool, frozen
 
 BLUR_CELLS = 1.5
-"""Deviation of the smoothing, of 112 cells: a quarter of a common pitch, so that the pattern remains."""
+"""Deviation of the smoothing, of 112 cells: a quarter of a common pitch,
+so that the pattern remains.
+"""
 AROUND_CELLS = 3.0
 """Deviation of the neighbourhood in which a local change is measured."""
 COMMON = 2.0

@@ -1,4 +1,6 @@
-"""Make object clouds: the contact, one label for every object, and a plane and a planar motion for each."""
+"""Make object clouds: the contact, one label for every object,
+and a plane and a planar motion for each.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,8 @@ Spread = Sequence[Sequence[float]]
 
 
 def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[Spread]]:
-    """The mean of each object's values (dimensions, N), which end at `ends`, and the sums of the products of any two
-    dimensions less their means; no object is empty.
+    """The mean of each object's values (dimensions, N), which end at `ends`, and the sums of the
+    products of any two dimensions less their means; no object is empty.
     """
     first = values[:, :1].copy()  # near all others, so that nothing cancels
     rows = np.empty((len(values) + 1, values.shape[1]))
@@ -63,18 +65,22 @@ def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[S
 
 
 def normals(spread: Sequence[Spread]) -> list[list[float]]:
-    """Unit normals of planes through points, from their spreads, which begin with x, y, z; away from the camera."""
+    """Unit normals of planes through points, from their spreads, which begin with x, y, z;
+    away from the camera.
+    """
     least = np.linalg.eigh(np.array([[row[:3] for row in each[:3]] for each in spread]))[1][:, :, 0]
     normal: list[list[float]] = (least * np.where(least[:, 2:] < 0, -1.0, 1.0)).tolist()
     return normal
 
 
 def rigid_motion(spread: Spread, count: int) -> tuple[float | None, float]:
-    """Angle in degrees about z, from x towards y, of the least-squares rotation of a contact about its mean (None below
-    `TWIST_CELLS`); RMS in mm of its motion beyond that and the mean shear. Takes the spread of x, y, z and shear x, y.
+    """Angle in degrees about z, from x towards y, of the least-squares rotation of a contact about
+    its mean (None below `TWIST_CELLS`); RMS in mm of its motion beyond that and the mean shear.
+    Takes the spread of x, y, z and shear x, y.
     """
     (xx, _, _, x_sx, x_sy), (_, yy, _, y_sx, y_sy), _, (*_, sx_sx, _), (*_, sy_sy) = spread
-    # Umeyama 1991, in the plane, of places before (less shear) and now: proportional to cosine and sine of the angle.
+    # Umeyama 1991, in the plane, of places before (less shear) and now:
+    # proportional to cosine and sine of the angle.
     along, across = xx + yy - x_sx - y_sy, x_sy - y_sx
     rest = 2 * along + sx_sx + sy_sy - 2 * math.hypot(along, across)
     twist = math.degrees(math.atan2(across, along)) if count >= TWIST_CELLS else None
@@ -83,8 +89,8 @@ def rigid_motion(spread: Spread, count: int) -> tuple[float | None, float]:
 
 @frozen
 class Objects:
-    """All objects in contact: their cells, points ordered by label, description (the largest first, at least one),
-    volume displaced.
+    """All objects in contact: their cells, points ordered by label, description (the largest first,
+    at least one), volume displaced.
     """
 
     contact: Bool
@@ -94,9 +100,9 @@ class Objects:
 
 
 def contact_of(depth: Depth, inside: Bool, outline: Outline = NETWORK) -> Bool:
-    """Cells where the skin touches an object, without untrusted cells: the network's contact, or the
-    paper's split of the heights as found (clipped ones would all be equal for a great α), which also
-    serves a solver without a network.
+    """Cells where the skin touches an object, without untrusted cells: the network's contact, or
+    the paper's split of the heights as found (clipped ones would all be equal for a great α), which
+    also serves a solver without a network.
     """
     if depth.contact is None or outline == KMEANS:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
@@ -113,8 +119,10 @@ def find_objects(
     geometry: Geometry,
     contact_logit: F32 | None = None,
 ) -> Objects | None:
-    """Separate the objects in contact, with points of their skin; None if nothing touches. `contact` holds only cells
-    with a height; shear is (rows, cols, 2), `contact_logit` the network's, if there is one.
+    """Separate the objects in contact, with points of their skin; None if nothing touches.
+
+    `contact` holds only cells with a height; shear is (rows, cols, 2), `contact_logit` the
+    network's, if there is one.
     """
     box = bounding_box(contact)
     if box is None:
@@ -130,8 +138,8 @@ def find_objects(
 def objects_of(
     labels: U16, height_mm: F32, shear_mm: F32 | None, rays: DiscRays, geometry: Geometry
 ) -> Objects | None:
-    """The objects that another program found: `labels` (rows, cols) are the numbers of their cells, which have a
-    height, and 0 elsewhere; missing numbers are closed up.
+    """The objects that another program found: `labels` (rows, cols) are the numbers of their cells,
+    which have a height, and 0 elsewhere; missing numbers are closed up.
     """
     box = bounding_box(labels > 0)
     if box is None:
@@ -161,7 +169,9 @@ def _objects(
 
 
 def bounding_box(contact: Bool) -> Box | None:
-    """Rows and columns of the contact plus one on each side, because a cell's area needs its neighbours."""
+    """Rows and columns of the contact plus one on each side,
+    because a cell's area needs its neighbours.
+    """
     left, top, width, height = cv2.boundingRect(contact.view(np.uint8))
     if width == 0:
         return None
@@ -169,9 +179,9 @@ def bounding_box(contact: Bool) -> Box | None:
 
 
 def two_means_split(values: F32) -> float:
-    """The threshold of k-means with k = 2 over finite values, the paper's separation of object and skin; infinity
-    without two different values. It maximises the variance between the clusters (Otsu), over every threshold of a
-    histogram.
+    """The threshold of k-means with k = 2 over finite values, the paper's separation of object and
+    skin; infinity without two different values. It maximises the variance between the clusters
+    (Otsu), over every threshold of a histogram.
     """
     if values.size == 0:
         return float("inf")
@@ -186,7 +196,8 @@ def two_means_split(values: F32) -> float:
     sum1 = float((counts * middles).sum()) - sum0
     with np.errstate(invalid="ignore", divide="ignore"):
         between = np.nan_to_num(n0 * n1 * (sum0 / n0 - sum1 / n1) ** 2, nan=-1.0)
-    # All thresholds in the empty bins between two clusters give the same split: k-means' boundary is their middle.
+    # All thresholds in the empty bins between two clusters give the same split:
+    # k-means' boundary is their middle.
     best = np.flatnonzero(n0 == n0[np.argmax(between)])
     middle = float((edges[best[0] + 1] + edges[best[-1] + 1]) / 2)
     # Round down to float32, so that adjacent float32 values are still separated.
@@ -197,8 +208,9 @@ def two_means_split(values: F32) -> float:
 def label_objects(
     contact: Bool, cell_area: F32, planes_mm: F32, contact_logit: F32 | None = None
 ) -> U16:
-    """Number the objects, which are connected contacts (8-neighbours) or parts of them, from 1, the largest area first;
-    0 outside, in patches below 0.5 mm², and beyond the 65535 objects that a cloud can number.
+    """Number the objects, which are connected contacts (8-neighbours) or parts of them, from 1, the
+    largest area first; 0 outside, in patches below 0.5 mm², and beyond the 65535 objects that a
+    cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     count = part_objects(raw, count, planes_mm, cell_area, contact_logit)
@@ -222,8 +234,8 @@ def cells_by_label(labels: U16) -> I64:
 def _described(
     x_y_z: F32, labels: U16, height_mm: F32, cell_area: F32, shear_mm: F32 | None
 ) -> tuple[TouchedObject, ...]:
-    """The labelled contacts, from points (3, N), their labels in order and without gaps, and height, area of skin and
-    shear (2, N) there.
+    """The labelled contacts, from points (3, N), their labels in order and without gaps, and
+    height, area of skin and shear (2, N) there.
     """
     ends = np.bincount(labels).cumsum()
     starts = ends[:-1]

@@ -1,10 +1,11 @@
 """Part a connected contact into the objects that touch one another in it, by k-means.
 
-Between two objects the skin is free, or nearly: the network's log odds of contact have a valley there, even where the
-heights have none. As the odds that are asked for rise, such a contact falls apart into lobes, which are the seeds of
-k-means. A long, bent or branched object may have lobes too, but without a deep valley, a narrow neck, or parts that are
-more convex than the whole: `evidence` weighs all three for any two parts. A convex contact is one object, which its
-outline shows at once. Without a network, the distance from the outline stands for the odds.
+Between two objects the skin is free, or nearly: the network's log odds of contact have a valley
+there, even where the heights have none. As the odds that are asked for rise, such a contact falls
+apart into lobes, which are the seeds of k-means. A long, bent or branched object may have lobes
+too, but without a deep valley, a narrow neck, or parts that are more convex than the whole:
+`evidence` weighs all three for any two parts. A convex contact is one object, which its outline
+shows at once. Without a network, the distance from the outline stands for the odds.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ _AROUND = np.ones((3, 3), np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class Lobe:
-    """A part of a contact above a valley: its innermost cell, its inscribed radius in cells, the valley's depth in log
-    odds.
+    """A part of a contact above a valley: its innermost cell, its inscribed radius in cells, the
+    valley's depth in log odds.
     """
 
     row: int
@@ -54,9 +55,10 @@ class Lobe:
 def part_objects(
     raw: I32, count: int, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None
 ) -> int:
-    """Give each further object in a connected contact the next number in `raw`, (rows, cols) numbers below `count` of
-    connected contacts, 0 outside; return the count then. `planes_mm` are x, y and z, (3, rows, cols), `area_mm2` is
-    each cell's, and `contact_logit` its log odds of contact, if they are known.
+    """Give each further object in a connected contact the next number in `raw`, (rows, cols)
+    numbers below `count` of connected contacts, 0 outside; return the count then. `planes_mm` are
+    x, y and z, (3, rows, cols), `area_mm2` is each cell's, and `contact_logit` its log odds of
+    contact, if they are known.
     """
     contours, _ = cv2.findContours(
         (raw > 0).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
@@ -68,7 +70,8 @@ def part_objects(
         box = slice(row, row + height), slice(col, col + width)
         own = raw[box] == raw[contour[0, 0, 1], contour[0, 0, 0]]
         logit = None if contact_logit is None else contact_logit[box]
-        # A map without a network may have a cell for every pixel: 100 on a side show an object's form.
+        # A map without a network may have a cell for every pixel:
+        # 100 on a side show an object's form.
         step = 1 + max(width, height) // SIDE_CELLS
         some = slice(None, None, step), slice(None, None, step)
         parts = parts_of(
@@ -86,7 +89,9 @@ def part_objects(
 
 
 def _finer(parts: I64, own: Bool, step: int) -> I64:
-    """Numbers of coarse cells at the fine ones; those at the edge of a contact have their neighbour's number."""
+    """Numbers of coarse cells at the fine ones; those at the edge
+    of a contact have their neighbour's number.
+    """
     if step == 1:
         return parts
     numbers = np.where(own, parts + 1, 0).astype(np.uint16)
@@ -106,7 +111,9 @@ def _cells_in(hull: I32) -> float:
 
 
 def parts_of(own: Bool, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None) -> I64 | None:
-    """The number of the object, from 0, of each cell in a contact, 0 elsewhere; None if it is one object."""
+    """The number of the object, from 0, of each cell in a contact, 0 elsewhere;
+    None if it is one object.
+    """
     cell_mm = math.sqrt(float(area_mm2[own].mean()))
     edged = cv2.copyMakeBorder(own.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     inner = cv2.distanceTransform(edged, cv2.DIST_L2, 5)[1:-1, 1:-1]
@@ -149,8 +156,9 @@ def features(planes_mm: F32) -> F64:
 def seeds(
     own: Bool, inner: F32, contact_logit: F32 | None, least_cells: float
 ) -> Iterator[Sequence[Lobe]]:
-    """The lobes, at least `least_cells` in radius, into which a contact falls apart: two or more, for each number of
-    lobes those above the lowest level. `inner` is each cell's distance from the outline, in cells.
+    """The lobes, at least `least_cells` in radius, into which a contact falls apart: two or more,
+    for each number of lobes those above the lowest level. `inner` is each cell's distance from the
+    outline, in cells.
     """
     if contact_logit is None:
         known = DISTANCE_ODDS * np.log(np.maximum(inner, np.float32(1)))
@@ -171,7 +179,9 @@ def seeds(
 
 
 def _lobes(odds: F32, inner: F32, level: float, least_cells: float) -> list[Lobe]:
-    """The lobes above a level that are at least `least_cells` in radius and `VALLEY` high; none if there is one."""
+    """The lobes above a level that are at least `least_cells` in radius and `VALLEY` high;
+    none if there is one.
+    """
     count, lobe_of, boxes, _ = cv2.connectedComponentsWithStats(
         (odds > level).view(np.uint8), connectivity=8
     )
@@ -190,9 +200,9 @@ def _lobes(odds: F32, inner: F32, level: float, least_cells: float) -> list[Lobe
 
 
 def k_means(x: F64, start: F64, radii_mm: F64) -> tuple[I64, F64]:
-    """Lloyd's k-means of points (N, D) from k centres (k, D), with the clusters' squared radii taken off the squared
-    distances, so that a small cluster beside a large one ends where their circles meet. Returns each point's cluster,
-    and the centres.
+    """Lloyd's k-means of points (N, D) from k centres (k, D), with the clusters' squared radii
+    taken off the squared distances, so that a small cluster beside a large one ends where their
+    circles meet. Returns each point's cluster, and the centres.
     """
     origin = x.mean(axis=0)
     points, centres = x - origin, start - origin
@@ -221,9 +231,9 @@ def silhouette(x: F64, assigned: I64, centres: F64) -> float:
 
 
 def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> float:
-    """How much speaks for several objects, the least over any two parts, in log odds: the depth of the valley, the
-    narrowness of the neck, and the gain in convexity, which is 1 if the parts' own hulls leave out all that is wasted
-    in their common hull.
+    """How much speaks for several objects, the least over any two parts, in log odds: the depth of
+    the valley, the narrowness of the neck, and the gain in convexity, which is 1 if the parts' own
+    hulls leave out all that is wasted in their common hull.
     """
     parts = [places[assigned == number] for number in range(len(lobes))]
     if not all(map(len, parts)):
@@ -246,7 +256,9 @@ def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> f
 
 
 def _ends_of_rows(places: I32) -> I32:
-    """The first and the last of each row of places (N, 2), which come row by row: these alone can be in a hull."""
+    """The first and the last of each row of places (N, 2), which come row by row:
+    these alone can be in a hull.
+    """
     first = np.flatnonzero(np.diff(places[:, 1], prepend=-1))
     return np.concatenate((places[first], places[np.append(first[1:], len(places)) - 1]))
 

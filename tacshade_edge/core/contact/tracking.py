@@ -1,12 +1,14 @@
 """Track objects from frame to frame: a number for each while it touches, and its slip.
 
-The mean of the touched skin's places in the reference, the imprint's place in the material, stands still while an
-object holds its skin, and moves with the speed of the slip when it slides. Friction drags the skin in the direction of
-the slide: an imprint that moves over undragged skin, or against its drag, belongs to a contact that grows or shrinks on
-one side. Skin that goes back faster than its depth explains is being unloaded: else a shaken object would seem to slip.
+The mean of the touched skin's places in the reference, the imprint's place in the material, stands
+still while an object holds its skin, and moves with the speed of the slip when it slides. Friction
+drags the skin in the direction of the slide: an imprint that moves over undragged skin, or against
+its drag, belongs to a contact that grows or shrinks on one side. Skin that goes back faster than
+its depth explains is being unloaded: else a shaken object would seem to slip.
 
-Two objects that touch may be one contact in some frames. An object that is joined to another keeps its number for when
-they part again, and no speed is measured across a change of parts, which moves every mean.
+Two objects that touch may be one contact in some frames. An object that is joined to another keeps
+its number for when they part again, and no speed is measured across a change of parts, which moves
+every mean.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ NOISE_SPREADS = (
     5.5  # speeds from noise alone are below this many deviations in all but one of a million frames
 )
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
-"""Initial noise of an imprint's place along each axis, and the number of frames over which it is learned."""
+"""Initial noise of an imprint's place along each axis,
+and the number of frames over which it is learned.
+"""
 PARTIAL_STRAIN = 0.12  # ratio of strain to shear above which only part of the contact holds
 PARTIAL_MM = 0.15
 REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
@@ -43,7 +47,8 @@ REACH_MM = 4.0  # greatest distance of an object's place from that a frame ago
 def follow(tracker: ContactTracker, result: Reconstruction) -> Reconstruction:
     """Add the results of tracking to a reconstruction's objects; without shear it stays the same.
 
-    A frame whose depth is unknown (`touched`) neither ends nor begins an object: the next contact continues.
+    A frame whose depth is unknown (`touched`) neither ends nor begins an object:
+    the next contact continues.
     """
     if result.touched or any(touched.shear_mm is None for touched in result.objects):
         return result
@@ -95,8 +100,8 @@ class ContactTracker:
         self._count = 0
 
     def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
-        """Give a frame's objects, which have shear, a number that is never used again, slip, its speed (None until
-        known).
+        """Give a frame's objects, which have shear, a number that is never used again, slip, its
+        speed (None until known).
         """
         left, followed = [*self._tracks, *self._joined], []
         for touched in objects:
@@ -124,8 +129,8 @@ class ContactTracker:
             track.seen.clear()
 
     def _join(self, left: Sequence[_Track], pairs: Sequence[tuple[_Track, TouchedObject]]) -> None:
-        """Keep the objects of a frame ago whose places other objects have taken in, as parts of those, with which they
-        move. The other ones have ended.
+        """Keep the objects of a frame ago whose places other objects have taken in, as parts of
+        those, with which they move. The other ones have ended.
         """
         joined = []
         for part in left:
@@ -172,8 +177,8 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
 def _slide(
     seen: _Seen, noise_mm2: float, shear_mm: tuple[float, float]
 ) -> tuple[bool, float | None]:
-    """Whether the whole contact slides, and the least-squares speed of its imprint over the material (None until
-    known).
+    """Whether the whole contact slides, and the least-squares speed of its imprint over the
+    material (None until known).
     """
     if len(seen) < LEAST_FRAMES:
         return False, None

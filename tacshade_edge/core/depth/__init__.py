@@ -1,7 +1,8 @@
 """Compute depth from a preprocessed image: a new solver is one file here and one line in `SOLVERS`.
 
-A solver's `solve` appends the features of its network to `features`, if given; `mark` receives the stages before the
-last, ``depth``, which the caller marks. `shear_mm` is (rows, cols, 2), finite, undefined outside the disc.
+A solver's `solve` appends the features of its network to `features`, if given; `mark` receives the
+stages before the last, ``depth``, which the caller marks. `shear_mm` is (rows, cols, 2), finite,
+undefined outside the disc.
 """
 
 from collections.abc import Callable

@@ -1,9 +1,11 @@
-"""Eq. 11 in real float32 arithmetic: the result of the published 25 iterations, computed only where they still matter.
+"""Eq. 11 in real float32 arithmetic: the result of the published 25 iterations,
+computed only where they still matter.
 
-Ref. [20] works on complex numbers, because p and q start as Fourier transforms. Each iteration squares the slopes, up
-to 1e15 and more after about six. From there on, R and f' vanish beside g_hn and ε, so an iteration subtracts g_hn / ε
-from Z: such a cell is settled. When every cell of the disc is, the remaining iterations are one multiplication.
-Fixed point could not hold slopes from 1e-3 to 1e17 (docs/explanation/numerics.md).
+Ref. [20] works on complex numbers, because p and q start as Fourier transforms. Each iteration
+squares the slopes, up to 1e15 and more after about six. From there on, R and f' vanish beside g_hn
+and ε, so an iteration subtracts g_hn / ε from Z: such a cell is settled. When every cell of the
+disc is, the remaining iterations are one multiplication. Fixed point could not hold slopes from
+1e-3 to 1e17 (docs/explanation/numerics.md).
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
 
 
 class HybridIteration:
-    """Eq. 11 on images of one shape: ε |Z| of a g_hn, float32 (rows, cols), 0 to 1, after the 3x3 median of ref. [20],
-    with the number of values that were not finite (0 instead). Scaled to 0 to 1, the disc's heights are within 0.006 of
-    the complex128 result, or within what that changes by if g_hn is rounded differently. Work arrays belong to the
-    instance, and SciPy keeps the transform's plan.
+    """Eq. 11 on images of one shape: ε |Z| of a g_hn, float32 (rows, cols), 0 to 1, after the 3x3
+    median of ref. [20], with the number of values that were not finite (0 instead). Scaled to 0 to
+    1, the disc's heights are within 0.006 of the complex128 result, or within what that changes by
+    if g_hn is rounded differently. Work arrays belong to the instance, and SciPy keeps the
+    transform's plan.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -41,7 +44,9 @@ class HybridIteration:
         self._mirrored_rows = -np.arange(shape[0]) % shape[0]
 
     def __call__(self, g_hn: F32, inside: Bool) -> tuple[F32, int]:
-        """ε |Z| and the number of values repaired; cells outside the disc may differ from the published result."""
+        """ε |Z| and the number of values repaired; cells outside the disc may differ
+        from the published result.
+        """
         if not g_hn.any():  # the iteration turns such an image into a constant, which is no height
             return np.zeros_like(g_hn), 0
         with np.errstate(all="ignore"):  # overflow is normal for this method; it is repaired below
@@ -55,8 +60,9 @@ class HybridIteration:
         return np.asarray(cv2.medianBlur(np.where(good, magnitude, 0), 3), np.float32), repaired
 
     def _start(self, g_hn: F32) -> None:
-        """Z = g_hn - R of p and q that are the Fourier transforms of the gradient. R has the symmetry of a real image's
-        transform: half of it is enough.
+        """Z = g_hn - R of p and q that are the Fourier transforms of the gradient.
+
+        R has the symmetry of a real image's transform: half of it is enough.
         """
         _backward(g_hn, self._gradient)
         # In float64, which takes no longer and divides the largest error by four.
@@ -87,7 +93,9 @@ class HybridIteration:
 
 
 def _backward(z: F32, out: F32) -> None:
-    """Backward differences of (..., rows, cols) along columns, then rows; the first column or row of `out` stays 0."""
+    """Backward differences of (..., rows, cols) along columns, then rows;
+    the first column or row of `out` stays 0.
+    """
     np.subtract(z[..., 1:], z[..., :-1], out=out[0, ..., 1:])
     np.subtract(z[..., 1:, :], z[..., :-1, :], out=out[1, ..., 1:, :])
 

@@ -1,6 +1,8 @@
-"""Solve eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref. [20].
+"""Solve eqs. 8, 11 and 12 as published: the hybrid linear shape from shading of the paper's ref.
+[20].
 
-A fidelity reference, not a good method: its result is a scaled copy of the grey image (docs/explanation/numerics.md).
+A fidelity reference, not a good method: its result is a scaled copy of the grey image
+(docs/explanation/numerics.md).
 """
 
 from __future__ import annotations
@@ -46,15 +48,17 @@ def finite_shape_grey(maps: GreyMaps) -> tuple[F32, int]:
 
 
 def with_own_ratio(calibration: Calibration, depth_mm: float) -> Calibration:
-    """The calibration with the α of one press, "the ratio between the ground-truth contact depth and the maximum
-    estimated depth" (section IV-C): its greatest height becomes `depth_mm`.
+    """The calibration with the α of one press, "the ratio between the ground-truth contact depth
+    and the maximum estimated depth" (section IV-C): its greatest height becomes `depth_mm`.
     """
     alpha = depth_mm / calibration.geometry.mm_per_px
     return replace(calibration, alpha=alpha, alpha_grey=0.0)
 
 
 def change_grey(maps: GreyMaps) -> float:
-    """RMS of eq. 9's g_d over the disc, 0 to 255 grey levels; a value that is not finite counts as 0."""
+    """RMS of eq. 9's g_d over the disc, 0 to 255 grey levels;
+    a value that is not finite counts as 0.
+    """
     g_d = np.clip(np.nan_to_num(maps.g_d[maps.inside]), -255, 255)
     return float(np.sqrt(np.square(g_d, dtype=np.float64).mean())) if g_d.size else 0.0
 

@@ -1,9 +1,11 @@
-"""Compute height, contact and shear from the white of the image and the unloaded skin by learned inverses.
+"""Compute height, contact and shear from the white of the image and the unloaded skin
+by learned inverses.
 
-The networks are trained on simulated sensors alone (tools/training). They see every sensor on the same square of cells
-(`core.geometry.disc_map`), with what is known of it; lengths are in tenths of the disc's radius. The network of shear,
-one for all profiles, runs on request and shares nothing with that of depth, which needs all its few channels. The
-caller chooses how to run them (`inference.network` uses ONNX Runtime).
+The networks are trained on simulated sensors alone (tools/training). They see every sensor on the
+same square of cells (`core.geometry.disc_map`), with what is known of it; lengths are in tenths of
+the disc's radius. The network of shear, one for all profiles, runs on request and shares nothing
+with that of depth, which needs all its few channels. The caller chooses how to run them
+(`inference.network` uses ONNX Runtime).
 """
 
 from __future__ import annotations
@@ -34,10 +36,11 @@ def scale_mm(geometry: Geometry) -> np.float32:
     return np.float32(geometry.visible_radius_mm / HEIGHT_SCALE)
 
 
-# Flatter skins than this (pads: 0) are none that the networks learnt from; they are told of the flattest of those.
+# Flatter skins than this (pads: 0) are none that the networks learnt from;
+# they are told of the flattest of those.
 FLAT_DEG, LEARNT_DEG = 25.0, 42.0
-# Of flat skins the networks then show greater heights, by this factor at these half angles: measured on simulated
-# sensors (tools/studies/flat_skins.py).
+# Of flat skins the networks then show greater heights, by this factor at these half angles:
+# measured on simulated sensors (tools/studies/flat_skins.py).
 _SHOWN_DEG, _SHOWN = (0.0, 20.0), (1.5, 1.9)
 
 
@@ -47,8 +50,8 @@ def is_flat(geometry: Geometry) -> bool:
 
 
 def as_learnt(geometry: Geometry) -> Geometry:
-    """What the networks are told of a sensor: of a flat skin the flattest dome that they learnt from,
-    with the same visible circle as far from the lens.
+    """What the networks are told of a sensor: of a flat skin the flattest dome that they learnt
+    from, with the same visible circle as far from the lens.
     """
     if not is_flat(geometry):
         return geometry
@@ -88,7 +91,9 @@ def unfold(maps: F32, by: int) -> F32:
 
 
 class _Prepared:
-    """A network prepared for one sensor, from the share of white of the unloaded skin on `disc_map.map_grid`."""
+    """A network prepared for one sensor, from the share of white
+    of the unloaded skin on `disc_map.map_grid`.
+    """
 
     def __init__(
         self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32
@@ -100,7 +105,9 @@ class _Prepared:
         self._sensor = network.sense(known)
 
     def _run(self, white: F32, features: Features | None) -> Sequence[F32]:
-        """Run the network on a frame's white, float32 (cells, cells), 0 to 1; append its features to `features`."""
+        """Run the network on a frame's white, float32 (cells, cells), 0 to 1;
+        append its features to `features`.
+        """
         return self._network.run(fold(white[None], self._network.fold), self._sensor, features)
 
 
@@ -108,7 +115,9 @@ class LearnedShear(_Prepared):
     """The network of shear, prepared for one sensor."""
 
     def __call__(self, white: F32, cells: int, features: Features | None = None) -> F32:
-        """Shear along x and y in mm, (cells, cells, 2), finite, from the share of white of a frame (N, N)."""
+        """Shear along x and y in mm, (cells, cells, 2), finite,
+        from the share of white of a frame (N, N).
+        """
         coarse = np.ascontiguousarray(np.moveaxis(self._run(white, features)[0], 0, 2))
         if not np.isfinite(coarse).all():
             coarse = np.nan_to_num(coarse, posinf=0.0, neginf=0.0)
@@ -118,8 +127,9 @@ class LearnedShear(_Prepared):
 
 @frozen
 class Inverse:
-    """The network's result for a frame: h, sometimes slightly below 0 without contact, and the log odds of contact at
-    the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows something other than this sensor's skin.
+    """The network's result for a frame: h, sometimes slightly below 0 without contact, and the log
+    odds of contact at the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows
+    something other than this sensor's skin.
     """
 
     height_mm: F32
@@ -138,8 +148,8 @@ class LearnedInverse(_Prepared):
 
 
 class LearnedSolver:
-    """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's cells; `reference`
-    is the share of white of the unloaded skin. ValueError without a network.
+    """Solves by the inverse refitted to the sensor and the contact that it finds, on the network's
+    cells; `reference` is the share of white of the unloaded skin. ValueError without a network.
     """
 
     def __init__(self, preprocessor: Preprocessor, network: Network | None) -> None:
@@ -177,7 +187,8 @@ class LearnedSolver:
         self._factor = np.float32(
             fitted.factor if fitted else camera.factors.get(profile.name, 1.0)
         )
-        # The latest image with its white, and with its fine white: depth and shear may see the same.
+        # The latest image with its white, and with its fine white:
+        # depth and shear may see the same.
         self._latest: tuple[Preprocessed, F32] | None = None
         self._latest_fine: tuple[Preprocessed, F32] | None = None
         self._deepest_mm = np.float32(DEEPEST_RADII * camera.geometry.size_mm)

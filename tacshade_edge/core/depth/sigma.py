@@ -1,11 +1,12 @@
-"""Predict the standard deviation of the height at every cell of a contact: a log-linear model of the network's own
-outputs, fitted on simulated sensors (tools/training/fit_sigma.py), times the error scale that the sensor's presses
-show. With k the skin's radius over 20 mm (`skin_scale`),
+"""Predict the standard deviation of the height at every cell of a contact: a log-linear model of
+the network's own outputs, fitted on simulated sensors (tools/training/fit_sigma.py), times the
+error scale that the sensor's presses show. With k the skin's radius over 20 mm (`skin_scale`),
 
     log(σ / k) = log scale + Σ w_i x_i,    x = (1, log(0.1 + h / k), min(|∇h|, 2), l_c, l_f),
 
-the slope ∇h by Sobel differences over the disc seen flat, l_c the log odds of contact between -2 and 8, l_f those of an
-untrusted cell between -12 and 0. Errors are not Gaussian: ±1.645 σ holds 90 % of them, by quantile regression.
+the slope ∇h by Sobel differences over the disc seen flat, l_c the log odds of contact between -2
+and 8, l_f those of an untrusted cell between -12 and 0. Errors are not Gaussian: ±1.645 σ holds 90
+% of them, by quantile regression.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ _CONTACT_RANGE, _UNTRUSTED_RANGE = (-2.0, 8.0), (-12.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SigmaModel:
-    """The errors of a network: weights of `TERMS`; the error scale of a sensor with only references; log scale =
-    press_offset + press_slope · log q for one whose presses are off by q σ of scale 1 (`refit.error_scale`).
+    """The errors of a network: weights of `TERMS`; the error scale of a sensor with only
+    references; log scale = press_offset + press_slope · log q for one whose presses are off by q σ
+    of scale 1 (`refit.error_scale`).
     """
 
     weights: tuple[float, ...]
@@ -52,7 +54,9 @@ class SigmaModel:
 def terms(
     height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry
 ) -> F32:
-    """The x_i of the chosen cells, (N, len(TERMS)), finite; heights are NaN or 0 outside the disc."""
+    """The x_i of the chosen cells, (N, len(TERMS)), finite;
+    heights are NaN or 0 outside the disc.
+    """
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
     first_row, first_col = max(top - 1, 0), max(left - 1, 0)

@@ -1,4 +1,6 @@
-"""Four judges of a frame, each with one question: the picture, its light, the camera's place, the skin."""
+"""Four judges of a frame, each with one question:
+the picture, its light, the camera's place, the skin.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,11 @@ __all__ = ["Judges", "Measured", "PictureJudge", "first_reason", "plain_judges",
 
 
 class Judges:
-    """The judges of one sensor's images that need no network, in the order in which they are asked. `pitch_px`: for the
-    plain tests of the skin; None if a network judges it. `camera_px`: width of a pixel here in the camera's, in which
-    reasons are given. `unloaded`: nothing touches the skin in the images.
+    """The judges of one sensor's images that need no network, in the order in which they are asked.
+
+    `pitch_px`: for the plain tests of the skin; None if a network judges it. `camera_px`: width of
+    a pixel here in the camera's, in which reasons are given. `unloaded`: nothing touches the skin
+    in the images.
     """
 
     def __init__(
@@ -39,7 +43,9 @@ class Judges:
         )
 
     def measured(self, grey: U8) -> tuple[Measured, ...]:
-        """What they measure of an image, uint8 (H, W) of the reference's size; nothing after the first that refuses."""
+        """What they measure of an image, uint8 (H, W) of the reference's size;
+        nothing after the first that refuses.
+        """
         made = self.picture.measured(grey)
         if first_reason(made) is None:
             eighths = eighth(grey)

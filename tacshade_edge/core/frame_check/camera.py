@@ -1,6 +1,9 @@
-"""Judge the camera's place. In a frame that is by what lies around the disc. References and presses measure the drift
-of the pattern's part that moves as one piece: a coarse shift by phase correlation (Kuglin and Hines 1975), points
-tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow (RANSAC).
+"""Judge the camera's place.
+
+In a frame that is by what lies around the disc. References and presses measure the drift of the
+pattern's part that moves as one piece: a coarse shift by phase correlation (Kuglin and Hines 1975),
+points tracked from there (Lucas and Kanade 1981), and the similarity that most of them follow
+(RANSAC).
 """
 
 from __future__ import annotations
@@ -21,28 +24,30 @@ from tacshade_edge.core.image.white import eighth, median
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Disc, frozen
 
-# What lies between these radii around the disc changes only with the light; from the first on, because a soft tip that
-# sways carries its markers past the edge.
+# What lies between these radii around the disc changes only with the light; from the first on,
+# because a soft tip that sways carries its markers past the edge.
 SURROUND_FROM, SURROUND_TO = 1.1, 1.35
-# A block of it has changed by this many levels and a quarter of its light; this part of them is another surround. Real
-# frames show 0.008, simulated moves and specks 0.05; torn and foreign ones 0.10 and more.
+# A block of it has changed by this many levels and a quarter of its light; this part of them is
+# another surround. Real frames show 0.008, simulated moves and specks 0.05; torn and foreign ones
+# 0.10 and more.
 SURROUND_LEVELS, SURROUND_PART = 25.0, 0.08
 # Darker blocks do not show the amount of light; a thresholded image has many.
 LIT_LEVEL = 4.0
-# One pixel along both axes (1.4) passes: it changes depths by a few per cent. Further than the last, a shift is only
-# another surround.
+# One pixel along both axes (1.4) passes: it changes depths by a few per cent. Further than the
+# last, a shift is only another surround.
 LEAST_PX, MOST_PX = 1.8, 8
-# Fewer blocks, or ones that a shift by a pixel changes by less (RMS, levels), show no shift; the best shift leaves at
-# most this part of the squared change, or it explains nothing.
+# Fewer blocks, or ones that a shift by a pixel changes by less (RMS, levels), show no shift; the
+# best shift leaves at most this part of the squared change, or it explains nothing.
 LEAST_BLOCKS, LEAST_SLOPE, LEFT_PART = 40, 1.0, 0.5
-# Pitch of the lattice of tracked points, the part of the disc that holds them, and the window of each, in pitches.
+# Pitch of the lattice of tracked points, the part of the disc that holds them,
+# and the window of each, in pitches.
 _POINT_PITCHES, _RHO_MAX, _WINDOW_PITCHES = 1.0, 0.95, 2.0
 # A point belongs to the piece if it lies this near to its place by the common motion.
 _INLIER_PX = 0.5
 # Fewer points, or a smaller part of all, measure nothing.
 _LEAST_POINTS, _LEAST_PART = 20, 0.2
-# Beyond this part of the disc's radius the geometry is wrong; a smaller shift of the centre, or movement with turn and
-# zoom (of which a deep press alone imitates 1 px), is worth a warning.
+# Beyond this part of the disc's radius the geometry is wrong; a smaller shift of the centre, or
+# movement with turn and zoom (of which a deep press alone imitates 1 px), is worth a warning.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
 
@@ -71,7 +76,8 @@ class CameraJudge:
                 for c in offsets
             ]
         )
-        # Each shift in a light that may fall more on one side: 1, and the row and the column, times the picture.
+        # Each shift in a light that may fall more on one side:
+        # 1, and the row and the column, times the picture.
         plane = np.stack(np.broadcast_arrays(1.0, rows[:, None] - disc.row_c, cols - disc.col_c))
         plane = plane.reshape(3, -1)[:, self._at] / np.array(
             [[1.0], [disc.radius_px], [disc.radius_px]]
@@ -105,7 +111,10 @@ class CameraJudge:
         part = np.count_nonzero(changed > SURROUND_LEVELS + 0.25 * expected) / found.size
         shift_px = self._shift_px(found)
         moved = f"the camera has moved by {shift_px:.1f} px since the reference was taken"
-        other = f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the reference"
+        other = (
+            f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the "
+            "reference"
+        )
         return (
             Measured(
                 "camera", "shift, px", shift_px, 0, LEAST_PX, Reason(ReasonCode.CAMERA_SHIFT, moved)
@@ -121,7 +130,9 @@ class CameraJudge:
         )
 
     def _shift_px(self, found: F32) -> float:
-        """The shift that explains the change of what lies around, in the camera's pixels; 0 if none does."""
+        """The shift that explains the change of what lies around, in the camera's pixels;
+        0 if none does.
+        """
         if self._slope < LEAST_SLOPE:
             return 0.0
         middle, of_a_px = self._side // 2, found.size * self._slope**2
@@ -141,7 +152,9 @@ class CameraJudge:
 
 
 def _vertex(values: F32, at: int) -> float:
-    """Where the parabola through the least value and its neighbours is least, -0.5 to 0.5 beside it."""
+    """Where the parabola through the least value and its neighbours is least,
+    -0.5 to 0.5 beside it.
+    """
     if not 0 < at < len(values) - 1:
         return 0.0
     before, here, after = (float(value) for value in values[at - 1 : at + 2])
@@ -151,8 +164,8 @@ def _vertex(values: F32, at: int) -> float:
 
 @frozen
 class Look:
-    """A reference, prepared for comparison: tracked points (col, row) (N, 2), local mean and deviation of the grey (H,
-    W).
+    """A reference, prepared for comparison: tracked points (col, row) (N, 2), local mean and
+    deviation of the grey (H, W).
     """
 
     grey: U8
@@ -167,7 +180,8 @@ class Look:
 class Drift:
     """The change of an image since the reference."""
 
-    still_part: float = 0.0  # part of the pattern that moved as one piece; if 0, nothing was measured: all is neutral
+    # Part of the pattern that moved as one piece; if 0, nothing was measured: all is neutral.
+    still_part: float = 0.0
     moved_px: float = (
         0.0  # greatest movement of a point of the visible circle by shift, turn and zoom together
     )
@@ -177,7 +191,8 @@ class Drift:
     zoom: float = 1.0
     light: float = 1.0  # ratio of the brightness to the reference's
     uneven: float = 0.0  # standard deviation of its logarithm over the disc
-    contrast: float = 1.0  # ratio of the contrast to the reference's, beyond the effect of the light: below 1 is blur
+    # Ratio of the contrast to the reference's, beyond the effect of the light: below 1 is blur.
+    contrast: float = 1.0
 
     @property
     def shift_px(self) -> float:
@@ -186,7 +201,9 @@ class Drift:
 
     @property
     def light_reason(self) -> Reason | None:
-        """Reason that light or focus changed; None if the change is small enough to be compensated."""
+        """Reason that light or focus changed; None if the change is small enough
+        to be compensated.
+        """
         return light_drift_reason(self.light, self.uneven, self.contrast)
 
 
@@ -206,7 +223,10 @@ def look(grey: U8, disc: Disc, pitch_px: float) -> Look:
 
 
 def drift(reference: Look, grey: U8) -> Drift:
-    """Compare an image with a reference, with or without contact. `grey`: uint8 (H, W), of the reference's size."""
+    """Compare an image with a reference, with or without contact.
+
+    `grey`: uint8 (H, W), of the reference's size.
+    """
     if len(reference.points) < _LEAST_POINTS or grey.shape != reference.grey.shape:
         return Drift()
     start = reference.points + _coarse_shift(reference, grey)
@@ -287,7 +307,9 @@ def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:
 
 
 def _coarse_shift(reference: Look, grey: U8) -> F32:
-    """Column and row shift of the whole disc, to a fraction of a pitch, px: print errors distinguish whole pitches."""
+    """Column and row shift of the whole disc, to a fraction of a pitch, px: print errors
+    distinguish whole pitches.
+    """
     disc, side = reference.disc, int(1.2 * reference.disc.radius_px)
     top, left = max(round(disc.row_c) - side, 0), max(round(disc.col_c) - side, 0)
     cut = (slice(top, round(disc.row_c) + side), slice(left, round(disc.col_c) + side))
@@ -298,7 +320,9 @@ def _coarse_shift(reference: Look, grey: U8) -> F32:
 
 
 def _light(reference: Look, grey: U8, before: F32, after: F32) -> tuple[float, float, float]:
-    """Ratio of light, its unevenness, and ratio of contrast to the reference's, where the pattern stood still."""
+    """Ratio of light, its unevenness, and ratio of contrast to the reference's,
+    where the pattern stood still.
+    """
     level, contrast = _statistics(grey, reference.pitch_px)
     old, new = (tuple(np.rint(points).astype(int).T[::-1]) for points in (before, after))
     height, width = grey.shape

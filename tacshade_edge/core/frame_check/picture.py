@@ -1,4 +1,6 @@
-"""Judge the picture and its light: has it the right size, shows it anything, and how has it changed as a whole?"""
+"""Judge the picture and its light: has it the right size, shows it anything,
+and how has it changed as a whole?
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from tacshade_edge.core.image.white import eighth, level_at, median, squares
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import U8, Bool
 
-# A working camera never shows a disc this dark, or as flat as either of these (grey levels, part of the reference's
-# deviation).
+# A working camera never shows a disc this dark, or as flat as either of these (grey levels, part of
+# the reference's deviation).
 BLACK_LEVEL = 12.0
 FLAT_STD, FLAT_OVER_REFERENCE = 4.0, 0.5
 # At most this part more than in the reference, which may arrive thresholded, is saturated.
@@ -26,7 +28,9 @@ Box = tuple[slice, slice]
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A figure of a frame, the limits within which its judge lets the frame pass, and the reason beyond them."""
+    """A figure of a frame, the limits within which its judge lets the frame pass,
+    and the reason beyond them.
+    """
 
     judge: str
     what: str
@@ -45,12 +49,17 @@ def size_reason(image: U8, shape: tuple[int, int]) -> Reason | None:
     """Why an image, (H, W) or (H, W, 3), has not the calibrated size; None if it has it."""
     if image.shape[:2] == shape:
         return None
-    text = f"size: found {image.shape[1]}x{image.shape[0]} px, expected the calibration's {shape[1]}x{shape[0]} px"
+    text = (
+        f"size: found {image.shape[1]}x{image.shape[0]} px, expected the calibration's "
+        f"{shape[1]}x{shape[0]} px"
+    )
     return Reason(ReasonCode.SIZE, text)
 
 
 class PictureJudge:
-    """Judges the pixels of the disc, `mask` bool (H, W), by the mean reference's, uint8 (H, W), if any."""
+    """Judges the pixels of the disc, `mask` bool (H, W), by the mean reference's, uint8 (H, W),
+    if any.
+    """
 
     def __init__(self, reference_grey: U8 | None, mask: Bool) -> None:
         rows, cols = (np.flatnonzero(mask.any(axis=axis)).tolist() or [0, -1] for axis in (1, 0))
@@ -87,7 +96,10 @@ class PictureJudge:
             bright = cv2.bitwise_and(cv2.inRange(disc, SATURATED_LEVEL, 255), self._mask)
             saturated = cv2.countNonZero(bright) / self._px
         step = self._step(disc)
-        burnt = f"saturated: {100 * saturated:.0f} % of the disc is at grey level {SATURATED_LEVEL} or above"
+        burnt = (
+            f"saturated: {100 * saturated:.0f} % of the disc is at grey level {SATURATED_LEVEL} or "
+            "above"
+        )
         code, word = (
             (ReasonCode.BLACK, "black")
             if mean < BLACK_LEVEL
@@ -124,21 +136,25 @@ class PictureJudge:
 
 # Beyond this change of light, the binarised image cannot be compared with the reference's.
 LIGHT_LOW, LIGHT_HIGH = 0.45, 1.7
-# The brightest tenth of the disc, or less if less is bright, shows how much light is left: a deep contact darkens or
-# brightens most of the disc, but some markers stay as bright as the light. More light saturates them; then the common
-# level of the 8x8 px with markers (at least this deviation, levels) shows it.
+# The brightest tenth of the disc, or less if less is bright, shows how much light is left: a deep
+# contact darkens or brightens most of the disc, but some markers stay as bright as the light. More
+# light saturates them; then the common level of the 8x8 px with markers (at least this deviation,
+# levels) shows it.
 BRIGHT_PART, TEXTURED_STD = 0.1, 8.0
-# A common change of g above the first degrades a frame; above the second the frame is another image.
+# A common change of g above the first degrades a frame;
+# above the second the frame is another image.
 DRIFT_LEVELS, DRIFT_INVALID_LEVELS = 12.0, 30.0
 # With more of the disc under glare than this, the rest shows too little.
 UNSEEN_INVALID = 0.4
-# Change of light between references that is compensated, and limits of unevenness and blur beyond all good presses
-# (calibration-checks.md).
+# Change of light between references that is compensated, and limits of unevenness and blur beyond
+# all good presses (calibration-checks.md).
 COMPENSATED_LOW, COMPENSATED_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 
 class LightJudge:
-    """Judges the light of the disc, `mask` bool (H, W), by that of the mean reference, uint8 (H, W)."""
+    """Judges the light of the disc, `mask` bool (H, W), by that of the mean reference, uint8 (H,
+    W).
+    """
 
     def __init__(self, reference_grey: U8, mask: Bool) -> None:
         self._sampled: U8 = np.where(mask[::4, ::4], np.uint8(255), np.uint8(0))
@@ -171,7 +187,9 @@ class LightJudge:
 
 
 def white_measured(unseen: float, drift_grey: float) -> tuple[Measured, ...]:
-    """What is measured of the white: the part of the disc under glare, the common change of g in grey levels."""
+    """What is measured of the white: the part of the disc under glare,
+    the common change of g in grey levels.
+    """
     return (
         Measured("light", "part under glare", unseen, 0, UNSEEN_INVALID, _glare(unseen)),
         Measured(
@@ -186,15 +204,18 @@ def white_measured(unseen: float, drift_grey: float) -> tuple[Measured, ...]:
 
 
 def degraded_reason(unseen: float, drift_grey: float) -> Reason | None:
-    """Why a valid frame is degraded; None if it is not. The parameters are those of `white_measured`."""
+    """Why a valid frame is degraded; None if it is not.
+
+    The parameters are those of `white_measured`.
+    """
     if abs(drift_grey) > DRIFT_LEVELS:
         return _drift(drift_grey)
     return _glare(unseen) if unseen > 0 else None
 
 
 def light_drift_reason(light: float, uneven: float, contrast: float) -> Reason | None:
-    """Why an image needs a new reference, by the parameters of `camera.Drift`: light or focus changed; None if that is
-    compensated.
+    """Why an image needs a new reference, by the parameters of `camera.Drift`: light or focus
+    changed; None if that is compensated.
     """
     changes = []
     if not COMPENSATED_LOW <= light <= COMPENSATED_HIGH:
@@ -209,7 +230,10 @@ def light_drift_reason(light: float, uneven: float, contrast: float) -> Reason |
 
 
 def _light(found: float) -> Reason:
-    text = f"light: found {found:.2f} times the reference's brightness, expected {LIGHT_LOW} to {LIGHT_HIGH} times"
+    text = (
+        f"light: found {found:.2f} times the reference's brightness, expected {LIGHT_LOW} to "
+        f"{LIGHT_HIGH} times"
+    )
     return Reason(ReasonCode.LIGHT, text)
 
 

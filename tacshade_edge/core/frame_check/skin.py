@@ -1,5 +1,7 @@
-"""Judge the skin: do all cells show this sensor's, however deformed? A network's map says so. Without one, plain tests
-find rows without markers and, on a skin at rest, a row of the disc that does not continue the rows above.
+"""Judge the skin: do all cells show this sensor's, however deformed?
+
+A network's map says so. Without one, plain tests find rows without markers and, on a skin at rest,
+a row of the disc that does not continue the rows above.
 """
 
 from __future__ import annotations
@@ -16,30 +18,36 @@ from tacshade_edge.core.image.white import median, squares
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Bool, Disc
 
-# Log odds above which a cell is certainly untrusted: those of an unknown skin are lower, those of another image higher.
-# Part of a row's cells above which the row is untrusted: two images meet in a row, but a skin that the network does not
-# know, deep, tilted or dragged, is untrusted in patches. Part of the disc in such rows above which a frame is torn or
-# another image.
+# Log odds above which a cell is certainly untrusted: those of an unknown skin are lower, those of
+# another image higher. Part of a row's cells above which the row is untrusted: two images meet in a
+# row, but a skin that the network does not know, deep, tilted or dragged, is untrusted in patches.
+# Part of the disc in such rows above which a frame is torn or another image.
 UNTRUSTED_SURE, UNTRUSTED_ROW, UNTRUSTED_INVALID = 3.0, 0.6, 0.15
 # Part of the disc in untrusted cells above which a press is not learnt from.
 UNTRUSTED_UNLEARNT = 0.10
 # Least number of a row's cells in the disc, of 112, for the row to count.
 LEAST_ROW_CELLS = 8
-# Squares of a pitch with at least the first deviation have a marker, below the second none. A contact can hide the
-# markers of a patch, never those of this part of two whole rows across the disc, unless they have few.
+# Squares of a pitch with at least the first deviation have a marker, below the second none. A
+# contact can hide the markers of a patch, never those of this part of two whole rows across the
+# disc, unless they have few.
 TEXTURED_STD, LOST_STD, LOST_PART, LOST_ROWS, ROW_SQUARES, LEAST_SQUARE_PX = 8.0, 3.0, 0.95, 2, 4, 8
-# Two frames meet at a row that differs from the next by this much more than its neighbours do, in medians of all rows,
-# and more than in the reference (good frames reach 1.9), in three of four bands of columns: a contact's edge may follow
-# a row, but not across the disc.
+# Two frames meet at a row that differs from the next by this much more than its neighbours do, in
+# medians of all rows, and more than in the reference (good frames reach 1.9), in three of four
+# bands of columns: a contact's edge may follow a row, but not across the disc.
 SPIKE, ROW_PX, BANDS, BAND_SPIKE = 2.1, 60, 4, 0.5
 
 
 def map_measured(untrusted_logit: F32 | None, inside: Bool) -> tuple[Measured, ...]:
-    """What is measured of a network's map, float32 (M, M); `inside` is the disc, bool (rows, cols)."""
+    """What is measured of a network's map, float32 (M, M);
+    `inside` is the disc, bool (rows, cols).
+    """
     if untrusted_logit is None:
         return ()
     part = untrusted_rows_part(untrusted_logit, inside, UNTRUSTED_SURE)
-    text = f"torn, or not an image from this sensor: {100 * part:.0f} % of the disc does not show its skin"
+    text = (
+        "torn, or not an image from this sensor: "
+        f"{100 * part:.0f} % of the disc does not show its skin"
+    )
     reason = Reason(ReasonCode.TORN, text)
     return (
         Measured("skin", "part of the disc without this skin", part, 0, UNTRUSTED_INVALID, reason),
@@ -56,13 +64,15 @@ def degraded_reason(untrusted: Bool | None, inside: Bool) -> Reason | None:
 
 
 def untrusted_part(untrusted: Bool, inside: Bool) -> float:
-    """Part of the disc that is untrusted, 0 for a disc without cells; both arrays are bool (rows, cols)."""
+    """Part of the disc that is untrusted, 0 for a disc without cells;
+    both arrays are bool (rows, cols).
+    """
     return float(np.count_nonzero(untrusted & inside) / max(int(np.count_nonzero(inside)), 1))
 
 
 def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) -> float:
-    """Part of the disc in rows that are untrusted across it, counting cells above the `least` log odds; 0 for an empty
-    disc.
+    """Part of the disc in rows that are untrusted across it, counting cells above the `least` log
+    odds; 0 for an empty disc.
     """
     coarse: Bool = untrusted_logit > least
     if not coarse.any():
@@ -78,8 +88,9 @@ def untrusted_rows_part(untrusted_logit: F32, inside: Bool, least: float = 0.0) 
 
 
 class PlainSkinJudge:
-    """Judges images without a network; parameters as of `Judges`. A pressed pattern along the camera's rows would look
-    torn.
+    """Judges images without a network; parameters as of `Judges`.
+
+    A pressed pattern along the camera's rows would look torn.
     """
 
     def __init__(
@@ -136,7 +147,10 @@ class PlainSkinJudge:
             return made
         over = self._spikes(grey) - self._usual
         at = int(over.argmax())
-        text = f"torn: row {(self._rows.start + 2 + at) * self._camera_px} does not match the rows above it"
+        text = (
+            f"torn: row {(self._rows.start + 2 + at) * self._camera_px} does not match the rows "
+            "above it"
+        )
         return (
             *made,
             Measured(
@@ -150,7 +164,9 @@ class PlainSkinJudge:
         )
 
     def _spikes(self, grey: U8) -> F32:
-        """How much each row of the disc differs from the next beside its neighbours: float32 (rows - 4,)."""
+        """How much each row of the disc differs from the next beside its neighbours:
+        float32 (rows - 4,).
+        """
         rows = grey[self._rows]
         step = cv2.bitwise_and(cv2.absdiff(rows[:-1], rows[1:]), self._mask[:-1])
         bands = [(self._edges[0], self._edges[-1]), *pairwise(self._edges)]

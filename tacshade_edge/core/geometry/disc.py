@@ -53,7 +53,9 @@ class Grid:
 
     @classmethod
     def of_window(cls, window: Window, step_px: int) -> Grid:
-        """Cells in the middle of each whole stride of the image that lie in the window; at least one cell."""
+        """Cells in the middle of each whole stride of the image that lie in the window;
+        at least one cell.
+        """
         row0, rows = _cells(window.row0, window.rows, step_px)
         col0, cols = _cells(window.col0, window.cols, step_px)
         return cls(rows=rows, cols=cols, row0=float(row0), col0=float(col0), step_px=float(step_px))
@@ -69,8 +71,8 @@ def _cells(first: int, size: int, step: int) -> tuple[int, int]:
 
 @frozen
 class DiscRays:
-    """The ray of each cell of a grid, and whether it lies in the disc. u, v: a pinhole's slopes (orthographic: x, y in
-    mm).
+    """The ray of each cell of a grid, and whether it lies in the disc. u, v: a pinhole's slopes
+    (orthographic: x, y in mm).
     """
 
     inside: Bool
@@ -127,9 +129,10 @@ def skin_points(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
 
 
 def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
-    """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN stays NaN. Eq. 2 for an
-    orthographic camera; a pinhole's ray meets the sphere of radius r - h twice, and the skin is the farther root. A
-    height that its ray cannot reach gives the ray's point nearest to the sphere. A pad's skin is the plane z = -h.
+    """x, y and z of the skin along the camera's rays, (3, ...), from heights h, at most r; NaN
+    stays NaN. Eq. 2 for an orthographic camera; a pinhole's ray meets the sphere of radius r - h
+    twice, and the skin is the farther root. A height that its ray cannot reach gives the ray's
+    point nearest to the sphere. A pad's skin is the plane z = -h.
     """
     if geometry.skin == "pad":
         return _pad_planes(height_mm, rays, geometry)
@@ -144,7 +147,8 @@ def skin_planes(height_mm: F32, rays: DiscRays, geometry: Geometry) -> F32:
         d = np.float32(geometry.camera_distance_mm)
         slope2 = u * u + v * v
         k = 1 + slope2
-        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0; solved without subtracting d² terms.
+        # |(s·u, s·v, s - d)| = rho  =>  k s² - 2 d s + d² - rho² = 0;
+        # solved without subtracting d² terms.
         root = np.sqrt(np.maximum(k * (rho * rho) - d * d * slope2, np.float32(0)))
         s = (d + root) / k
         np.divide(root - d * slope2, k, out=z)
@@ -168,8 +172,8 @@ def point_heights(points_mm: F64, geometry: Geometry) -> F64:
 
 
 def labels_by_cell(points_mm: F32, labels: U16, grid: Grid, geometry: Geometry) -> U16:
-    """The labels (N,) of points (N, 3) of the skin at the cells whose rays pass nearest to them, (rows, cols); 0 at the
-    other cells. Points outside the grid are ignored.
+    """The labels (N,) of points (N, 3) of the skin at the cells whose rays pass nearest to them,
+    (rows, cols); 0 at the other cells. Points outside the grid are ignored.
     """
     x, y, z = points_mm.astype(np.float64).T
     d_mm = geometry.camera_distance_mm
@@ -190,7 +194,9 @@ def labels_by_cell(points_mm: F32, labels: U16, grid: Grid, geometry: Geometry) 
 
 
 def cell_area_mm2(planes_mm: F32) -> F32:
-    """Area of skin of each cell of `skin_planes`, by central differences; 0 where a neighbour is NaN."""
+    """Area of skin of each cell of `skin_planes`, by central differences;
+    0 where a neighbour is NaN.
+    """
     along, across = (_steps(planes_mm, axis) for axis in (2, 1))
     # Component i of a cross product combines components i + 1 and i + 2.
     normal = along[1:4] * across[2:5]
@@ -201,11 +207,14 @@ def cell_area_mm2(planes_mm: F32) -> F32:
 
 
 def _steps(planes: F32, axis: int) -> F32:
-    """Differences (5, rows, cols) of neighbours' x, y, z, x, y like ``np.gradient``, which takes four times as long."""
+    """Differences (5, rows, cols) of neighbours' x, y, z, x, y like ``np.gradient``,
+    which takes four times as long.
+    """
     steps = np.zeros((5, *planes.shape[1:]), np.float32)
     lines, out = planes.swapaxes(0, axis), steps[:3].swapaxes(0, axis)
     if len(lines) > 1:
-        # One pass through memory, also across the ends, which the one-sided differences then overwrite.
+        # One pass through memory, also across the ends,
+        # which the one-sided differences then overwrite.
         flat, along, by = (
             planes.reshape(-1),
             steps[:3].reshape(-1),

@@ -1,4 +1,6 @@
-"""Maps on the disc-normalised grid: every sensor's visible circle fills the same square, whatever its camera."""
+"""Maps on the disc-normalised grid: every sensor's visible circle fills the same square,
+whatever its camera.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ REACH = 1.02
 
 
 def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
-    """The cells of the map as a grid of image positions (their middles, which need not be whole pixels)."""
+    """The cells of the map as a grid of image positions (their middles,
+    which need not be whole pixels).
+    """
     step = 2 * REACH * disc.radius_px / cells
     first = (0.5 - cells / 2) * step
     return Grid(
@@ -26,9 +30,9 @@ def map_grid(disc: Disc, cells: int = CELLS) -> Grid:
 
 
 def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F32:
-    """What is known of a sensor before any frame, (6, cells, cells): x and y in disc radii; shift in x and y of the
-    image of a skin point that moves by a disc radius towards the camera, in disc radii; cosine between ray and skin's
-    normal; marker pitch in tenths of the disc's radius.
+    """What is known of a sensor before any frame, (6, cells, cells): x and y in disc radii; shift
+    in x and y of the image of a skin point that moves by a disc radius towards the camera, in disc
+    radii; cosine between ray and skin's normal; marker pitch in tenths of the disc's radius.
     """
     disc = geometry.disc
     axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
@@ -45,7 +49,8 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
         d = geometry.camera_distance_mm / geometry.skin_radius_mm
         slope2 = rho2 * (geometry.disc.radius_px / geometry.f_px) ** 2
         k = 1 + slope2
-        # The ray's far intersection with the sphere, as z + d along the axis from the camera, in skin radii.
+        # The ray's far intersection with the sphere, as z + d along the axis from the camera,
+        # in skin radii.
         root = np.sqrt(np.maximum(d * d - k * (d * d - 1), 0))
         along = (d + root) / k
         gain = sin_half / along
@@ -62,7 +67,9 @@ def rays_in_image(grid: Grid, calibration: Calibration) -> DiscRays:
 
 
 def with_finite_radius(geometry: Geometry) -> Geometry:
-    """A pad with its size for a radius, for what compares sensors by their radii; a dome as it is."""
+    """A pad with its size for a radius, for what compares sensors by their radii;
+    a dome as it is.
+    """
     if geometry.skin == "dome":
         return geometry
     return replace(geometry, skin_radius_mm=geometry.size_mm)

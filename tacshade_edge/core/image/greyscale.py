@@ -1,4 +1,6 @@
-"""The equations of section IV-A of the paper: the white ratio, its denoising by total variation, and its change."""
+"""The equations of section IV-A of the paper: the white ratio, its denoising by total variation,
+and its change.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ _TAU = 0.25  # the step, 1 / (2 dimensions)
 
 
 def to_grey(image: U8, space: U8 | None = None) -> U8:
-    """Convert a grey (H, W) or BGR (H, W, 3) image to grey; uint8, 0 to 255. The result may use `space`, (H, W)."""
+    """Convert a grey (H, W) or BGR (H, W, 3) image to grey; uint8, 0 to 255.
+
+    The result may use `space`, (H, W).
+    """
     if image.ndim == 2:
         return image
     grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=space)
@@ -26,12 +31,12 @@ def to_grey(image: U8, space: U8 | None = None) -> U8:
 
 
 def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) -> Floats:
-    """Compute the image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight) (Rudin, Osher and Fatemi; A.
-    Chambolle, J. Math. Imaging Vis. 20, 2004). Operations and order are those of scikit-image's, so the bits are the
-    same, without its import, which costs 60 MB and a second.
+    """Compute the image u that minimises the sum of ‖∇u‖ + (u - image)² / (2 weight) (Rudin, Osher
+    and Fatemi; A. Chambolle, J. Math. Imaging Vis. 20, 2004). Operations and order are those of
+    scikit-image's, so the bits are the same, without its import, which costs 60 MB and a second.
     """
-    # The rows are flattened, so that a shift of the whole gives the neighbours: NumPy is several times slower on slices
-    # of a two-dimensional array. A 0 precedes the first row and pixel.
+    # The rows are flattened, so that a shift of the whole gives the neighbours: NumPy is several
+    # times slower on slices of a two-dimensional array. A 0 precedes the first row and pixel.
     cols, count, dtype = image.shape[1], image.size, image.dtype
     source = u = image.ravel()
     p_down, p_right = np.zeros(cols + count, dtype), np.zeros(1 + count, dtype)
@@ -67,8 +72,9 @@ def chambolle(image: Floats, weight: float, iterations: int = ITERATIONS_MAX) ->
 
 
 def denoise_tv(g: F32, inside: Bool, weight: float) -> F32:
-    """Total-variation denoising of the white ratio, Fig. 4(d), with `weight` in units of g/255; 0 leaves it unchanged.
-    The mean of the inside fills the outside of the disc, so that its rim is not an edge.
+    """Total-variation denoising of the white ratio, Fig. 4(d), with `weight` in units of g/255; 0
+    leaves it unchanged. The mean of the inside fills the outside of the disc, so that its rim is
+    not an edge.
     """
     if weight == 0 or not inside.any():
         return g
@@ -84,7 +90,9 @@ def grey_difference(g: F32, g0: F32, inside: Bool, sign: float) -> F32:
 
 
 def normalise(values: F32, inside: Bool) -> F32:
-    """Scale values by min-max over the disc to [0, 1]; 0 outside, and all 0 if the values do not differ."""
+    """Scale values by min-max over the disc to [0, 1];
+    0 outside, and all 0 if the values do not differ.
+    """
     if not inside.any():
         return np.zeros_like(values)
     low, high = values[inside].min(), values[inside].max()
@@ -98,5 +106,8 @@ def normalise(values: F32, inside: Bool) -> F32:
 
 
 def shape_grey(g_d: F32, g0: F32, inside: Bool) -> F32:
-    """Eq. 10 and its normalisation: g_hn, 0 to 1. Apply the gate first: without contact this stretches noise to it."""
+    """Eq. 10 and its normalisation: g_hn, 0 to 1.
+
+    Apply the gate first: without contact this stretches noise to it.
+    """
     return normalise(normalise(g_d, inside) * g0, inside)

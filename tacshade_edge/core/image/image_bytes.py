@@ -1,5 +1,5 @@
-"""Decode an image's bytes once its header states a size that a camera can have: OpenCV's decoders trust the header, and
-make 1.8 GB of 875 kB of PNG.
+"""Decode an image's bytes once its header states a size that a camera can have: OpenCV's decoders
+trust the header, and make 1.8 GB of 875 kB of PNG.
 """
 
 from __future__ import annotations
@@ -38,9 +38,11 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 def decode_image(data: bytes, flags: int) -> U8:
-    """Decode a PNG, JPEG, BMP, TIFF, PGM, PPM or WebP. `flags`: OpenCV's flags, with ``IMREAD_IGNORE_ORIENTATION``.
-    Returns (uint8 (H, W) grey or (H, W, 3) BGR): at most `SIDE_MAX_PX` per side and `PIXELS_MAX` in all. Raises
-    DecodeError (not an image, too large, cut short or visibly damaged; damage in the middle can pass).
+    """Decode a PNG, JPEG, BMP, TIFF, PGM, PPM or WebP.
+
+    `flags`: OpenCV's flags, with ``IMREAD_IGNORE_ORIENTATION``. Returns (uint8 (H, W) grey or (H,
+    W, 3) BGR): at most `SIDE_MAX_PX` per side and `PIXELS_MAX` in all. Raises DecodeError (not an
+    image, too large, cut short or visibly damaged; damage in the middle can pass).
     """
     for start, end in _ENDS:
         if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
@@ -72,7 +74,9 @@ def decode_image(data: bytes, flags: int) -> U8:
 
 
 def _check_depth(image: NDArray[Any] | None) -> None:
-    """Refuse 16-bit pixels that hold values of 9 to 12 bits: their upper 8 bits would be nearly black."""
+    """Refuse 16-bit pixels that hold values of 9 to 12 bits:
+    their upper 8 bits would be nearly black.
+    """
     most = (
         0
         if image is None or image.dtype != np.uint16
@@ -99,7 +103,9 @@ def _size_px(data: bytes) -> tuple[int, int] | None:
 
 
 def _png(data: bytes) -> tuple[int, int] | None:
-    """The size from the first chunk; all must be as long as stated, as the decoder trusts that (ISO/IEC 15948, 5.3)."""
+    """The size from the first chunk; all must be as long as stated,
+    as the decoder trusts that (ISO/IEC 15948, 5.3).
+    """
     at, kind = 8, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -121,7 +127,9 @@ def _check_bits(bits: int) -> None:
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
-    """The size from the first frame header (ISO/IEC 10918-1, B.2.2), skipping segments before it by their length."""
+    """The size from the first frame header (ISO/IEC 10918-1, B.2.2),
+    skipping segments before it by their length.
+    """
     at = 2
     while True:
         (marker,) = struct.unpack_from(">H", data, at)
@@ -186,7 +194,8 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
     found, following = _tiff_directory(data, order, struct.unpack_from(f"{order}I", data, 4)[0])
     if found.get(_TIFF_FORMAT) in _TIFF_NOT_WHOLE:
         raise DecodeError(
-            "found a TIFF of floating-point or signed values, expected whole numbers of 8 or 16 bits"
+            "found a TIFF of floating-point or signed values, "
+            "expected whole numbers of 8 or 16 bits"
         )
     if (orientation := found.get(_TIFF_ORIENTATION, 1)) != 1:  # OpenCV would turn it, unlike a JPEG
         raise DecodeError(f"found a TIFF with orientation {orientation}, expected 1 or none")
@@ -202,7 +211,9 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], int]:
-    """The first value of each of `_TIFF_TAGS`, the greatest of a repeated one; where the next directory is, or 0."""
+    """The first value of each of `_TIFF_TAGS`, the greatest of a repeated one;
+    where the next directory is, or 0.
+    """
     (entries,) = struct.unpack_from(f"{order}H", data, at)
     found: dict[int, int] = {}
     for entry in range(at + 2, at + 2 + 12 * entries, 12):

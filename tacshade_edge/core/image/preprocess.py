@@ -1,4 +1,6 @@
-"""Prepare images for every solver: halve, blank out glare, binarise, and make the maps of section IV-A."""
+"""Prepare images for every solver: halve, blank out glare, binarise,
+and make the maps of section IV-A.
+"""
 
 from __future__ import annotations
 
@@ -25,20 +27,22 @@ from tacshade_edge.core.image.white import (
 from tacshade_edge.core.profiles import Profile
 from tacshade_edge.types import F32, I32, U8, Bool, Calibration, Disc, frozen
 
-# Cells do not vote if the rim cuts their window below this part of its full size: there a camera shift shows.
+# Cells do not vote if the rim cuts their window below this part of its full size:
+# there a camera shift shows.
 VOTING_WINDOW_PART = 0.75
-# Weights of the reference shifted by a pixel back, not at all and forward, along each axis. More weight on the shifted
-# ones makes the depth less exact if nothing shifted.
+# Weights of the reference shifted by a pixel back, not at all and forward, along each axis. More
+# weight on the shifted ones makes the depth less exact if nothing shifted.
 MOVED_PARTS = (1 / 8, 3 / 4, 1 / 8)
 # Finer patterns are not halved: the networks have seen few pitches below 7 px.
 LEAST_PITCH_PX = 14.0
-# Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is enough), except under
-# glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by GLARE_PART of the reference's range from
-# dark to bright; another exposure lifts the dark less.
+# Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is
+# enough), except under glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by
+# GLARE_PART of the reference's range from dark to bright; another exposure lifts the dark less.
 GLARE_PITCHES = 1.0
 GLARE_LIFT, GLARE_PART = 22, 0.2
-# Pixels are also glare if brighter than GLARE_GAIN times the brightest marker nearby in the reference plus
-# GLARE_OFFSET; a drag moves markers by up to GLARE_REACH pitches to where the reference has none.
+# Pixels are also glare if brighter than GLARE_GAIN times the brightest marker nearby in the
+# reference plus GLARE_OFFSET; a drag moves markers by up to GLARE_REACH pitches to where the
+# reference has none.
 GLARE_GAIN, GLARE_OFFSET, GLARE_REACH = 1.3, 25, 2.0
 GLARE_PX = 6
 # Width of the halo around a glare spot that is not trusted either, in pitches (plus a block).
@@ -47,7 +51,9 @@ GLARE_HALO_PITCHES = 1.0
 
 @frozen
 class Preprocessed:
-    """The disc's window, 0 and 1, with the reference's under glare; its integral; part of the disc under glare."""
+    """The disc's window, 0 and 1, with the reference's under glare; its integral;
+    part of the disc under glare.
+    """
 
     pixels: U8
     white: Total
@@ -55,9 +61,10 @@ class Preprocessed:
 
 
 class Preprocessor:
-    """Prepares images of one sensor for every solver, with a profile's resolution, stride and window. `camera` is the
-    calibration in the camera's pixels, `calibration` in working pixels, which are twice as wide (`camera_px`) if the
-    profile halves images; `grid` is that of eq. 1, `voting` its cells with most of their window in the disc.
+    """Prepares images of one sensor for every solver, with a profile's resolution, stride and
+    window. `camera` is the calibration in the camera's pixels, `calibration` in working pixels,
+    which are twice as wide (`camera_px`) if the profile halves images; `grid` is that of eq. 1,
+    `voting` its cells with most of their window in the disc.
     """
 
     def __init__(self, calibration: Calibration, profile: Profile) -> None:
@@ -103,8 +110,8 @@ class Preprocessor:
         )
 
     def grey(self, image: U8, space: U8 | None = None) -> U8:
-        """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image; it may use `space`, uint8 (H,
-        W).
+        """Convert the camera's image, (H, W) or (H, W, 3) BGR, to the grey working image; it may
+        use `space`, uint8 (H, W).
         """
         grey = greyscale.to_grey(image, space)
         return halved_image(grey) if self._halve else grey
@@ -114,7 +121,9 @@ class Preprocessor:
         return self._binarise(self.window.cut(grey)).copy()
 
     def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
-        """Binarise a grey working image without its glare; the result may use `space`, from ``integrator.space``."""
+        """Binarise a grey working image without its glare;
+        the result may use `space`, from ``integrator.space``.
+        """
         cut = self.window.cut(grey)
         glare = self._glare.mask(cut)
         white = self._binarise(cut)
@@ -133,7 +142,9 @@ class Preprocessor:
         return self._glare.lift(self.window.cut(self.grey(image)))
 
     def ratio(self, white: Total) -> F32:
-        """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1; only pixels of the disc count in both."""
+        """Eq. 1 on `grid`, ĝ = 255 s_w / s_t, from an integral of 0 and 1;
+        only pixels of the disc count in both.
+        """
         g: F32 = self._box_sums.sums(white) * self._per_total
         return g
 
@@ -142,13 +153,17 @@ class Preprocessor:
         return values.take(self._voters)
 
     def drift_grey(self, g: F32) -> float:
-        """Median change of eq. 1 since the reference: a change of light affects every cell, a contact only some."""
+        """Median change of eq. 1 since the reference:
+        a change of light affects every cell, a contact only some.
+        """
         return median(self.voted(g) - self.voted(self.reference_g)) if self._voters.size else 0.0
 
 
 @frozen
 class GreyMaps:
-    """White ratio of an image and of the unloaded skin, denoised, 0 to 255; eq. 9, positive in contact; the disc."""
+    """White ratio of an image and of the unloaded skin, denoised, 0 to 255; eq.
+    9, positive in contact; the disc.
+    """
 
     g: F32
     g0: F32
@@ -176,8 +191,10 @@ class GreyMapper:
 
 
 def is_halved(calibration: Calibration, profile: Profile) -> bool:
-    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough. A network also sees a
-    noisy camera halved (one that needs Otsu's level): it would take such noise in whole images for torn skin.
+    """Whether a profile works on halved images of a sensor: its pattern must stay coarse enough.
+
+    A network also sees a noisy camera halved (one that needs Otsu's level): it would take such
+    noise in whole images for torn skin.
     """
     side_px = min(calibration.image_height_px, calibration.image_width_px)
     wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")
@@ -185,7 +202,9 @@ def is_halved(calibration: Calibration, profile: Profile) -> bool:
 
 
 def halved_image(grey: U8) -> U8:
-    """Means over 2x2 px, rounded half up, without the last row or column of an odd side; one of 1 px stays whole."""
+    """Means over 2x2 px, rounded half up, without the last row or column of an odd side;
+    one of 1 px stays whole.
+    """
     return (
         grey
         if min(grey.shape) < 2
@@ -194,8 +213,10 @@ def halved_image(grey: U8) -> U8:
 
 
 def halved_calibration(calibration: Calibration) -> Calibration:
-    """The calibration that halved images would give. Part of its white comes from the image shifted by a pixel, which
-    pairs pixels differently; without it, a camera shifted by a pixel would look like less depth.
+    """The calibration that halved images would give.
+
+    Part of its white comes from the image shifted by a pixel, which pairs pixels differently;
+    without it, a camera shifted by a pixel would look like less depth.
     """
     geometry = calibration.geometry
     at = geometry.disc
@@ -204,7 +225,8 @@ def halved_calibration(calibration: Calibration) -> Calibration:
     grey = halved_image(calibration.reference_grey)
     height, width = grey.shape
     pitch_px = calibration.pitch_px / 2
-    # Binarise inside the disc's window, as for frames, because the threshold's blocks start at its first pixel.
+    # Binarise inside the disc's window, as for frames,
+    # because the threshold's blocks start at its first pixel.
     window = Window.of_disc(height, width, disc)
     mask = window.cut(disc_mask(height, width, disc).astype(np.uint8))
     binariser = Binariser(mask, calibration.binarisation, pitch_px)
@@ -228,7 +250,9 @@ def halved_calibration(calibration: Calibration) -> Calibration:
 
 
 class GlareFinder:
-    """Finds specular spots that the reference (in its window) does not have: they and their halo hide the skin."""
+    """Finds specular spots that the reference (in its window) does not have:
+    they and their halo hide the skin.
+    """
 
     def __init__(self, reference_grey: U8, mask: U8, pitch_px: float) -> None:
         # The search's blocks are at most a quarter of the pitch wide.
@@ -268,7 +292,9 @@ class GlareFinder:
         return float(risen.max()) - median(risen)
 
     def mask(self, grey: U8) -> U8 | None:
-        """1 in glare and its halo, in whole blocks, of the window's grey image, uint8 (H, W); None without glare."""
+        """1 in glare and its halo, in whole blocks, of the window's grey image, uint8 (H, W);
+        None without glare.
+        """
         side, (rows, cols) = self._side, grey.shape
         self._whole[:rows, :cols] = grey
         found = cv2.compare(

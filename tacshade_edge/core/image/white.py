@@ -1,4 +1,6 @@
-"""White of a tactile image, Fig. 4(b): binarise in uint8 and reused buffers, and sum over boxes of any size."""
+"""White of a tactile image, Fig. 4(b): binarise in uint8 and reused buffers,
+and sum over boxes of any size.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,20 @@ from tacshade_edge.types import F32, F64, I32, U8, Binarisation
 
 A = TypeVar("A", U8, F32)
 Total = npt.NDArray[np.int32] | npt.NDArray[np.float64]
-"""An integral image of a window with zeros around it: exact sums over the rows before i and the columns before j."""
+"""An integral image of a window with zeros around it:
+exact sums over the rows before i and the columns before j.
+"""
 
 ADAPTIVE_PITCHES = 4
-"""Side of the adaptive threshold's neighbourhood in marker pitches: wide enough to hold black and white everywhere,
-narrow enough to follow vignetting."""
+"""Side of the adaptive threshold's neighbourhood in marker pitches: wide enough to hold black and
+white everywhere, narrow enough to follow vignetting.
+"""
 
 ADAPTIVE_FLOOR = 0.6
 """Part of the disc's mean grey below which nothing is white, however dark its surroundings."""
 
-# The threshold is slightly above the mean, so that a uniform surface is black however the products round.
+# The threshold is slightly above the mean, so that a uniform surface is black however the products
+# round.
 _MORE = np.float32(1 / 64)
 
 BLOCK_PX = 4
@@ -35,9 +41,12 @@ def odd(size: float) -> int:
 
 
 class Binariser:
-    """Binarises grey images of one disc, `mask` 0 or 1. ``adaptive`` compares with the local mean inside the disc: the
-    mean over a box of `ADAPTIVE_PITCHES` of means of 4x4 px blocks, interpolated linearly; within 2 levels, as two
-    halvings and the interpolation round. ``global`` compares with the disc's mean, ``otsu`` with its best split.
+    """Binarises grey images of one disc, `mask` 0 or 1.
+
+    ``adaptive`` compares with the local mean inside the disc: the mean over a box of
+    `ADAPTIVE_PITCHES` of means of 4x4 px blocks, interpolated linearly; within 2 levels, as two
+    halvings and the interpolation round. ``global`` compares with the disc's mean, ``otsu`` with
+    its best split.
     """
 
     def __init__(self, mask: U8, method: Binarisation, pitch_px: float) -> None:
@@ -56,7 +65,9 @@ class Binariser:
         self._blocks = cv2.countNonZero(self._whole)
 
     def __call__(self, grey: U8) -> U8:
-        """Binarise an image of the mask's shape: 1 where white, 0 outside the disc; the next call overwrites it."""
+        """Binarise an image of the mask's shape: 1 where white, 0 outside the disc;
+        the next call overwrites it.
+        """
         rows, cols = self._shape
         cv2.bitwise_and(grey, self._opaque[:rows, :cols], dst=self._masked[:rows, :cols])
         if self._method == "adaptive":
@@ -103,7 +114,9 @@ def binarise(grey: U8, mask: U8, method: Binarisation, pitch_px: float) -> U8:
 
 
 def padded(image: U8, multiple: int, value: int) -> U8:
-    """Pad an image with `value` below and on the right, so that its sides are multiples of `multiple`."""
+    """Pad an image with `value` below and on the right,
+    so that its sides are multiples of `multiple`.
+    """
     rows, cols = (-size % multiple for size in image.shape)
     if rows == cols == 0:
         return image
@@ -113,7 +126,10 @@ def padded(image: U8, multiple: int, value: int) -> U8:
 
 
 def halved(image: A) -> A:
-    """Means over 2x2 px, rounded half up for uint8; the sides must be even. OpenCV has a fast path for this."""
+    """Means over 2x2 px, rounded half up for uint8; the sides must be even.
+
+    OpenCV has a fast path for this.
+    """
     half: A = cv2.resize(
         image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA
     )
@@ -147,7 +163,9 @@ def _quarter(image: U8) -> U8:
 
 
 def median(values: F32 | F64) -> float:
-    """The median of at least one value, none of them NaN; the mean of the middle two for an even number."""
+    """The median of at least one value, none of them NaN;
+    the mean of the middle two for an even number.
+    """
     low, high = (values.size - 1) // 2, values.size // 2
     ordered = values.copy()
     ordered.partition((low, high))  # np.partition does the same, but first checks its arguments
@@ -155,7 +173,9 @@ def median(values: F32 | F64) -> float:
 
 
 def level_at(values: U8, mask: U8, part: float) -> float:
-    """The grey level that this part of the values in a mask (255 inside) does not exceed; 0 for an empty mask."""
+    """The grey level that this part of the values in a mask (255 inside) does not exceed;
+    0 for an empty mask.
+    """
     if not values.size:
         return 0.0
     counts = cv2.calcHist([values], [0], mask, [256], [0, 256]).ravel().cumsum()
@@ -167,7 +187,10 @@ _EXACT = 2**31
 
 
 class Integrator:
-    """Makes the integral images of a window's pixels. `margin_px`: greatest reach of a box beyond the window."""
+    """Makes the integral images of a window's pixels.
+
+    `margin_px`: greatest reach of a box beyond the window.
+    """
 
     def __init__(self, window: Window, margin_px: int) -> None:
         self.window = window
@@ -182,7 +205,9 @@ class Integrator:
         return np.empty((rows + 1, cols + 1), np.int32)
 
     def integrate(self, values: U8, space: I32 | None = None) -> Total:
-        """Integrate an image of the window; the result may use `space`, and then lasts until `space` is used again."""
+        """Integrate an image of the window; the result may use `space`,
+        and then lasts until `space` is used again.
+        """
         rows, cols, m = self.window.rows, self.window.cols, self.margin_px
         self._values[m : m + rows, m : m + cols] = values
         if values.size < _EXACT // 255 or int(values.max()) * values.size < _EXACT:
@@ -191,7 +216,9 @@ class Integrator:
 
 
 class BoxSums:
-    """Sums integral images over boxes of odd side around the cells of a grid of whole pixels inside the window."""
+    """Sums integral images over boxes of odd side around the cells of a grid
+    of whole pixels inside the window.
+    """
 
     def __init__(self, integrator: Integrator, grid: Grid, side_px: int) -> None:
         half, self._step = side_px // 2, int(grid.step_px)
@@ -217,7 +244,9 @@ class BoxSums:
 
 
 class CellMeans:
-    """Averages over a grid's cells, as wide as its step, whose edges may cut pixels: squares of constant value."""
+    """Averages over a grid's cells, as wide as its step, whose edges may cut pixels:
+    squares of constant value.
+    """
 
     def __init__(self, integrator: Integrator, grid: Grid) -> None:
         window, m = integrator.window, integrator.margin_px
@@ -226,13 +255,17 @@ class CellMeans:
         self._per_area = np.float32(1 / grid.step_px**2)
 
     def means(self, total: Total) -> F32:
-        """The means, float32 (rows, cols), exact to 1e-4 of the greatest value; pixels beyond the window are 0."""
+        """The means, float32 (rows, cols), exact to 1e-4 of the greatest value;
+        pixels beyond the window are 0.
+        """
         both = self._cols.across(self._rows.between(total))
         return np.multiply(both.T, self._per_area, order="C")
 
 
 class _Edges:
-    """Edges of cells along an axis of an integral image: `_part` of the way from a line to the next."""
+    """Edges of cells along an axis of an integral image:
+    `_part` of the way from a line to the next.
+    """
 
     def __init__(self, first: float, step: float, count: int, size: int, margin: int) -> None:
         # Pixel i spans i - 0.5 to i + 0.5, and row i of an integral image is the sum up to i - 0.5.
@@ -244,8 +277,8 @@ class _Edges:
         self._turned: F32 = np.empty((0, 0), np.float32)
 
     def between(self, lines: Total | F32) -> F32:
-        """Integrate along axis 0 from each edge to the next, differences first, which are exact in float32; the next
-        call overwrites the result.
+        """Integrate along axis 0 from each edge to the next, differences first, which are exact in
+        float32; the next call overwrites the result.
         """
         edges, width = len(self._part), lines.shape[1]
         if self._taken.shape[1] != width or self._taken.dtype != lines.dtype:

@@ -1,4 +1,6 @@
-"""The paper's way to fuse presses (section V-B): each point's z becomes the mean of all points near it in x and y."""
+"""The paper's way to fuse presses (section V-B):
+each point's z becomes the mean of all points near it in x and y.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +12,23 @@ from tacshade_edge.types import F64
 RADIUS_MM = 1.0
 """Radius of the average; the paper only states "a designated range"."""
 _CHUNK = 4096
-"""Points whose neighbours are found at once: some ten megabytes of pairs, however large the map is."""
+"""Points whose neighbours are found at once: some ten megabytes of pairs,
+however large the map is.
+"""
 _BLOCK_MM = 100.0
 
 
 def radius_average(
     points_mm: F64, step_mm: float = STEP_MM, radius_mm: float = RADIUS_MM
 ) -> Raster:
-    """Average the heights of points within a radius in the x, y plane, then in the cells of a raster.
+    """Average the heights of points within a radius in the x, y plane,
+    then in the cells of a raster.
 
     Parameters
     ----------
     points_mm
-        The points of all presses in the base frame, which count alike: float64 (N, 3), finite, N > 0.
+        The points of all presses in the base frame, which count alike:
+        float64 (N, 3), finite, N > 0.
     step_mm
         The raster's step, above 0.
     radius_mm

@@ -1,10 +1,12 @@
-"""Find the sensor's pose on the flange and its frames' delay, for which overlapping presses make one surface.
+"""Find the sensor's pose on the flange and its frames' delay,
+for which overlapping presses make one surface.
 
-``base_T_sensor = base_T_flange(t - delay) @ flange_T_sensor``, by Gauss-Newton with Cauchy's weight. First the surface
-is one quadratic function of x and y, which needs no correspondence and so tolerates any error of the start, then the
-mean heights of cells that shrink. In the last ones each press has the robot's error and each frame the
-reconstruction's, and the sensor's systematic errors of a contact are solved for too. Contacts that are all tilted alike
-look like a turn of the sensor: this tilt is only considered in the covariance (Schmidt, 1966).
+``base_T_sensor = base_T_flange(t - delay) @ flange_T_sensor``, by Gauss-Newton with Cauchy's
+weight. First the surface is one quadratic function of x and y, which needs no correspondence and so
+tolerates any error of the start, then the mean heights of cells that shrink. In the last ones each
+press has the robot's error and each frame the reconstruction's, and the sensor's systematic errors
+of a contact are solved for too. Contacts that are all tilted alike look like a turn of the sensor:
+this tilt is only considered in the covariance (Schmidt, 1966).
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from tacshade_edge.rigid import Rigid, of_pose, turn
 from tacshade_edge.types import F64, I64, Pose, frozen
 
 ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
-"""Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes through that origin,
-and the delay of the frames' time stamps after the robot's poses."""
+"""Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes
+through that origin, and the delay of the frames' time stamps after the robot's poses.
+"""
 SEEN_MM, SEEN_DEG, SEEN_MS = (
     2.0,
     2.5,
@@ -37,9 +40,10 @@ _FINE_MM = (1.0, 0.15)
 _ITERATIONS_MAX = 12
 _STEP_MAX = np.array((3.0,) * 3 + (np.radians(4),) * 3 + (30.0,))
 _CONVERGED = np.array((0.005,) * 3 + (3e-4,) * 3 + (0.1,))
-# Standard deviations: of the start; of the sensor's own errors, a contact's level along x, along y and outwards, in mm
-# at 10 mm from the axis; of each press (its patch's tilt is the reconstruction's, the rest the robot's); of each
-# frame's level and bulge; of what is considered, a common tilt of all contacts about two axes, and of distances.
+# Standard deviations: of the start; of the sensor's own errors, a contact's level along x, along y
+# and outwards, in mm at 10 mm from the axis; of each press (its patch's tilt is the
+# reconstruction's, the rest the robot's); of each frame's level and bulge; of what is considered, a
+# common tilt of all contacts about two axes, and of distances.
 _START = (10.0,) * 3 + (np.radians(10),) * 3 + (100.0,)
 _OWN_MM = (0.5, 0.5, 1.0)
 _PRESS = (0.2, 0.2, 0.2, np.radians(0.7), np.radians(0.7), np.radians(0.25))
@@ -58,9 +62,9 @@ _DIFFERENCE = 1e-5  # of numeric derivatives, in mm, rad and ms
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactFrame:
-    """One frame in contact: `refinement.thin_points` (N, 4); the number of its press, from 0, never decreasing (frames
-    of one share the robot's error); its time; ``base_T_flange`` around it, in order, a single one if the robot stood
-    still.
+    """One frame in contact: `refinement.thin_points` (N, 4); the number of its press, from 0, never
+    decreasing (frames of one share the robot's error); its time; ``base_T_flange`` around it, in
+    order, a single one if the robot stood still.
     """
 
     points: F64
@@ -71,7 +75,9 @@ class ContactFrame:
 
 @frozen
 class FoundFlange:
-    """Pose, delay, covariance (7, 7) in the order of `ORDER`, and RMS of the height differences left."""
+    """Pose, delay, covariance (7, 7) in the order of `ORDER`,
+    and RMS of the height differences left.
+    """
 
     flange_T_sensor: Rigid
     delay_ms: float
@@ -80,8 +86,10 @@ class FoundFlange:
 
 
 def find_flange(frames: Sequence[ContactFrame], start: Rigid, apex_mm: float) -> FoundFlange:
-    """Find the sensor's pose on the flange, within 10 mm and 10 degrees of the start, and the delay. What the presses
-    do not show keeps the start's standard deviation. Raises ConfigError if presses face in opposite directions.
+    """Find the sensor's pose on the flange, within 10 mm and 10 degrees of the start, and the
+    delay. What the presses do not show keeps the start's standard deviation.
+
+    Raises ConfigError if presses face in opposite directions.
     """
     problem = _Problem(frames, start, apex_mm)
     x = np.zeros(len(problem.sigmas))
@@ -98,10 +106,11 @@ def find_flange(frames: Sequence[ContactFrame], start: Rigid, apex_mm: float) ->
 class _Problem:
     """All points of all frames, and where the unknowns place them.
 
-    The unknowns x, with standard deviations `sigmas`: the sensor's translation in mm and turn in rad about the flange's
-    axes, from the start; delay in ms; the sensor's own errors; of each press a shift in mm in the upright axes, and a
-    turn about the apex in rad; of each frame its height in mm, everywhere and at 10 mm from the contact's middle; what
-    is only considered. The upward direction is against the sensor's mean axis at the start.
+    The unknowns x, with standard deviations `sigmas`: the sensor's translation in mm and turn in
+    rad about the flange's axes, from the start; delay in ms; the sensor's own errors; of each press
+    a shift in mm in the upright axes, and a turn about the apex in rad; of each frame its height in
+    mm, everywhere and at 10 mm from the contact's middle; what is only considered. The upward
+    direction is against the sensor's mean axis at the start.
     """
 
     def __init__(self, frames: Sequence[ContactFrame], start: Rigid, apex_mm: float) -> None:
@@ -127,7 +136,8 @@ class _Problem:
         )
         self._bulge = np.column_stack((np.ones(len(points)), np.sum(beside**2, axis=1)))
         along_rays = np.column_stack((middle, np.sum(middle**2, axis=1), beside))
-        # Shift (N, 3) of each point by 1 of each of the sensor's own errors and of the considered ones.
+        # Shift (N, 3) of each point by 1 of each of the sensor's own errors and
+        # of the considered ones.
         self._shapes = [outwards * each[:, None] for each in along_rays.T] + [
             self._points * (1, 1, 0)
         ]
@@ -158,8 +168,9 @@ class _Problem:
     def step(
         self, x: F64, cell_mm: float, sigma_mm: float, *, joint: bool
     ) -> tuple[F64, F64, float]:
-        """A Gauss-Newton step of x, limited to `_STEP_MAX`, covariance (7, 7) and RMS of the differences in mm, for
-        heights of deviation `sigma_mm` at one place; `joint` gives presses and frames their own errors.
+        """A Gauss-Newton step of x, limited to `_STEP_MAX`, covariance (7, 7) and RMS of the
+        differences in mm, for heights of deviation `sigma_mm` at one place; `joint` gives presses
+        and frames their own errors.
         """
         from scipy import sparse  # a daemon does not need it
         from scipy.sparse.linalg import splu
@@ -207,7 +218,9 @@ class _Problem:
         return step, covariance, float(np.sqrt(np.average(left_mm**2, weights=weight)))
 
     def _poses(self, delay_ms: float) -> tuple[F64, F64]:
-        """``base_T_flange`` of each frame in the upright axes: rotation (F, 3, 3), translation (F, 3)."""
+        """``base_T_flange`` of each frame in the upright axes:
+        rotation (F, 3, 3), translation (F, 3).
+        """
         poses = [of_pose(_flange_at(frame, delay_ms)) for frame in self._frames]
         rotation = self._upright @ np.stack([pose.rotation for pose in poses])
         return rotation, np.stack([pose.translation_mm for pose in poses]) @ self._upright.T
@@ -232,7 +245,9 @@ class _Problem:
 
 
 def _surface(at: F64, weight: F64, cell_mm: float) -> tuple[Any, F64, F64]:
-    """A surface that is linear in its unknowns: their sparse columns (N, M), the slope and the height at the points."""
+    """A surface that is linear in its unknowns: their sparse columns (N, M),
+    the slope and the height at the points.
+    """
     from scipy import sparse
 
     if cell_mm:
@@ -290,7 +305,9 @@ def _flange_at(frame: ContactFrame, delay_ms: float) -> Pose:
 
 
 def unseen(found: FoundFlange) -> str:
-    """The flange's axes along and about which the place cannot be determined, and what was expected, as one line."""
+    """The flange's axes along and about which the place cannot be determined,
+    and what was expected, as one line.
+    """
     sigma = np.sqrt(np.diag(found.covariance))
     names = [
         f"{motion} {', '.join(axes)}"

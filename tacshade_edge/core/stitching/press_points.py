@@ -1,4 +1,6 @@
-"""Select the points of one press for a map, with a confidence for each, once the pressing robot has come to rest."""
+"""Select the points of one press for a map, with a confidence for each,
+once the pressing robot has come to rest.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,17 @@ from tacshade_edge.types import F32, F64, Geometry, HeightMap, Pose, frozen
 REST_NS = 300_000_000
 STEADY_MM = 0.06
 _STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
-OUTLINE_MM = 0.8  # confidence grows to 1 over this distance into the contact: skin beyond it is skirt, off the object
+# Confidence grows to 1 over this distance into the contact:
+# skin beyond it is skirt, off the object.
+OUTLINE_MM = 0.8
 RIM_FRACTION = (
     0.2  # outer part of the disc's radius: the camera looks along the skin, and confidence falls
 )
 MIN_CONFIDENCE = 0.05
-SPACING_MM = 0.3  # of cells, which are divided or subsampled, so that a map of 0.25 mm has no holes between them
-_LATERAL_RATIO = 5.0  # of a point's lateral error, which times the slope is an error in height, to its height error
+# Of cells, which are divided or subsampled, so that a map of 0.25 mm has no holes between them.
+SPACING_MM = 0.3
+# Of a point's lateral error, which times the slope is an error in height, to its height error.
+_LATERAL_RATIO = 5.0
 
 
 class RestDetector:
@@ -40,7 +46,9 @@ class RestDetector:
         self._fired = True
 
     def update(self, t_ns: int, contact: bool, depth_mm: float) -> bool:
-        """Take the next frame (an invalid one ends a contact); whether the contact has just come to rest."""
+        """Take the next frame (an invalid one ends a contact);
+        whether the contact has just come to rest.
+        """
         if not contact:
             self._fired, self._since_ns = False, 0
             return False
@@ -57,8 +65,8 @@ class RestDetector:
 
 @frozen
 class PressPoints:
-    """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit normals, and a
-    confidence above 0, up to 1.
+    """The contact's skin points (N, 3) of one press in the sensor frame, the skin's outward unit
+    normals, and a confidence above 0, up to 1.
     """
 
     points_mm: F32
@@ -72,7 +80,9 @@ NO_POINTS = PressPoints(
 
 
 def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
-    """Select the contact's skin points, row by row, from a map made with a calibration of this geometry."""
+    """Select the contact's skin points, row by row,
+    from a map made with a calibration of this geometry.
+    """
     box = bounding_box(height.contact)
     if box is None:
         return NO_POINTS
@@ -130,9 +140,9 @@ class InterpolatedPose:
 
 
 def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
-    """The pose at `t_ns` in a uniform motion and rotation by slerp (Shoemake 1985), the shorter way, from `a` to `b`
-    (at another time), extrapolated beyond. Two equal poses give that pose to the last bit: a robot at rest is at one
-    place.
+    """The pose at `t_ns` in a uniform motion and rotation by slerp (Shoemake 1985), the shorter
+    way, from `a` to `b` (at another time), extrapolated beyond. Two equal poses give that pose to
+    the last bit: a robot at rest is at one place.
     """
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
     q, r = (a.qw, a.qx, a.qy, a.qz), (b.qw, b.qx, b.qy, b.qz)
@@ -159,8 +169,8 @@ def interpolate(a: Pose, b: Pose, t_ns: int) -> Pose:
 
 
 class PoseBuffer:
-    """The latest poses in order of time, all of one clock, for one thread; `late` counts those dropped because they
-    were not later.
+    """The latest poses in order of time, all of one clock, for one thread; `late` counts those
+    dropped because they were not later.
     """
 
     def __init__(self) -> None:
@@ -182,7 +192,9 @@ class PoseBuffer:
         self._poses.clear()
 
     def at(self, t_ns: int) -> InterpolatedPose | None:
-        """The pose between two poses at most `GAP_MAX_NS` apart, or at most `EXTRAPOLATION_MAX_NS` after the newest."""
+        """The pose between two poses at most `GAP_MAX_NS` apart,
+        or at most `EXTRAPOLATION_MAX_NS` after the newest.
+        """
         poses = self._poses
         if len(poses) < 2 or t_ns < poses[0].t_ns:
             return None

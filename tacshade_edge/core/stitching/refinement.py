@@ -1,12 +1,13 @@
 """Refine poses on overlaps: two presses that touched the same place must agree on its height.
 
-Bundle adjustment of heights: Gauss-Newton solves for all poses at once; the unknown surface is eliminated (the Schur
-complement), and Cauchy's weight reduces outliers. Each press has a prior at the pose that the robot reported; the
-robot's errors are independent, so their mean over many presses holds the map and keeps it from bending.
+Bundle adjustment of heights: Gauss-Newton solves for all poses at once; the unknown surface is
+eliminated (the Schur complement), and Cauchy's weight reduces outliers. Each press has a prior at
+the pose that the robot reported; the robot's errors are independent, so their mean over many
+presses holds the map and keeps it from bending.
 
-The reconstruction's errors move presses too: a depth that is a tenth too small looks like a pose that is too high. The
-part of these errors that poses can explain grows with the part that they cannot, so the differences left after
-refinement show the size of the former (`robots_part`).
+The reconstruction's errors move presses too: a depth that is a tenth too small looks like a pose
+that is too high. The part of these errors that poses can explain grows with the part that they
+cannot, so the differences left after refinement show the size of the former (`robots_part`).
 """
 
 from __future__ import annotations
@@ -30,15 +31,16 @@ _CONVERGED_MM = 0.005  # ends when no press moves farther in an iteration
 _CG_ITERATIONS_MAX = 60
 _CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one continues
 LATERAL_RATIO = 5.0  # lateral over height error of a point
-# Ratio of the moves in height from the reconstruction's errors alone to the differences that they leave: typical and
-# greatest. With exact poses it is 1.1 to 2.5.
+# Ratio of the moves in height from the reconstruction's errors alone to the differences that they
+# leave: typical and greatest. With exact poses it is 1.1 to 2.5.
 _OWN_MOVES_TYPICAL, _OWN_MOVES_MAX = 1.8, 2.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverlapCells:
-    """Points in cells: the cell of each, from 0; the number of cells with a point; the slope (N, 2) of the points' mean
-    surface in each point's cell; z that each point gives to the middle of its cell, with the slope removed.
+    """Points in cells: the cell of each, from 0; the number of cells with a point; the slope (N, 2)
+    of the points' mean surface in each point's cell; z that each point gives to the middle of its
+    cell, with the slope removed.
     """
 
     of_point: I64
@@ -63,7 +65,9 @@ def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
 
 
 def _slope(used: I64, z: F64, step: int, cell_mm: float) -> F64:
-    """Slope of the cells' heights towards the neighbour at `step`, from both sides, one or none; mm per mm."""
+    """Slope of the cells' heights towards the neighbour at `step`, from both sides, one or none;
+    mm per mm.
+    """
 
     def neighbour(by: int) -> F64:
         at = np.minimum(np.searchsorted(used, used + by), len(used) - 1)
@@ -81,15 +85,17 @@ def _means(values: F64, weight: F64, cell: I64) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Standard deviations of the robot's reported poses: along each axis, and about each axis through the apex."""
+    """Standard deviations of the robot's reported poses:
+    along each axis, and about each axis through the apex.
+    """
 
     position_mm: float = 0.3
     rotation_deg: float = 0.6
 
 
 def thin_points(press: PressPoints) -> F64:
-    """Reduce a press to the mean of each small square (`CELL_MM`), at most `POINTS_MAX`: (N, 4), x, y, z in mm, and
-    weights up to 1.
+    """Reduce a press to the mean of each small square (`CELL_MM`), at most `POINTS_MAX`: (N, 4), x,
+    y, z in mm, and weights up to 1.
     """
     points = press.points_mm.astype(np.float64)
     cell = np.floor(points[:, :2] / CELL_MM).astype(np.int64)
@@ -105,8 +111,8 @@ def thin_points(press: PressPoints) -> F64:
 def refine_poses(
     presses: Sequence[F64], reported: Sequence[Rigid], centre_mm: F64, error: PoseError
 ) -> list[Rigid]:
-    """Find ``base_T_sensor`` at which the presses (`thin_points`) agree best; a press that overlaps no other keeps the
-    reported one. Rotation errors turn about `centre_mm`, the undeformed apex.
+    """Find ``base_T_sensor`` at which the presses (`thin_points`) agree best; a press that overlaps
+    no other keeps the reported one. Rotation errors turn about `centre_mm`, the undeformed apex.
     """
     if len(presses) < 2:
         return list(reported)
@@ -132,9 +138,9 @@ def refine_poses(
 def robots_part(
     presses: Sequence[F64], reported: Sequence[Rigid], refined: Sequence[Rigid], centre_mm: F64
 ) -> float:
-    """Estimate the part (0 to below 1) of the refined poses' moves that corrects the robot's errors: the variance of
-    the moves in height, less the typical share of the reconstruction's own errors, over the whole; 0 if those may
-    explain all of it.
+    """Estimate the part (0 to below 1) of the refined poses' moves that corrects the robot's
+    errors: the variance of the moves in height, less the typical share of the reconstruction's own
+    errors, over the whole; 0 if those may explain all of it.
     """
     press_of, points = _joined(presses)
     cells = overlap_cells(_placed(points, press_of, refined, centre_mm)[0], points[:, 3], CELL_MM)
@@ -156,7 +162,9 @@ def robots_part(
 
 
 def change(reported: Rigid, refined: Rigid, centre_mm: F64) -> F64:
-    """The way from a reported to the refined pose, (6,): translation in mm at the apex, rotation vector in rad."""
+    """The way from a reported to the refined pose, (6,):
+    translation in mm at the apex, rotation vector in rad.
+    """
     translation_mm = refined.apply(centre_mm) - reported.apply(centre_mm)
     return np.concatenate((translation_mm, turned_rad(refined.rotation @ reported.rotation.T)))
 
@@ -234,7 +242,9 @@ def _placed(points: F64, press_of: I64, poses: Sequence[Rigid], centre_mm: F64) 
 
 
 def _conjugate_gradients(matrix: Callable[[F64], F64], right: F64, inverse: F64) -> F64:
-    """Solve by conjugate gradients (Hestenes and Stiefel 1952), with the blocks' `inverse` as preconditioner."""
+    """Solve by conjugate gradients (Hestenes and Stiefel 1952),
+    with the blocks' `inverse` as preconditioner.
+    """
     x = np.zeros_like(right)
     residual = right.copy()
     z = np.einsum("pij,pj->pi", inverse, residual)

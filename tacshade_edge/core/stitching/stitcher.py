@@ -1,7 +1,8 @@
 """Fuse the points of many presses into one map in the base frame, by the robot's poses.
 
-Poses are only as good as the robot, as the map itself shows: if the reconstruction's errors explain why presses would
-have to move to agree, the poses are taken as exact; otherwise presses move by the robot's part (`refinement`).
+Poses are only as good as the robot, as the map itself shows: if the reconstruction's errors explain
+why presses would have to move to agree, the poses are taken as exact; otherwise presses move by the
+robot's part (`refinement`).
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64, I64, frozen
 
-STEP_MM = 0.25  # about the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls
+# About the sensor's cells on the skin (0.28 mm at a radius of 20 mm): a coarser step smears walls.
+STEP_MM = 0.25
 TILE = 64
 PRESS_WIDTH_MAX_MM = 200.0  # greatest width of a press of any sensor
 TILES_MAX = 1024  # greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB
 _POSITION_MAX_MM = 1e6
-EXTENT_MAX_TILES = 4096  # greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB
+# Greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB.
+EXTENT_MAX_TILES = 4096
 BAND_ROWS = 256
 MIN_WEIGHT = 0.07  # A cell of less weight lies outside the contact
 _Tile = tuple[int, int]  # row and column
@@ -39,7 +42,9 @@ _Box = tuple[slice, slice]
 
 @frozen
 class Raster:
-    """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step; NaN where untouched."""
+    """A map as one array, in the base frame: row i is at y0 + i step, column j at x0 + j step;
+    NaN where untouched.
+    """
 
     z_mm: F32
     x0_mm: float
@@ -47,7 +52,9 @@ class Raster:
     step_mm: float
 
     def bands(self) -> Iterator[Raster]:
-        """The same raster in bands of `BAND_ROWS`, so that processing a large map needs little extra memory."""
+        """The same raster in bands of `BAND_ROWS`, so
+        that processing a large map needs little extra memory.
+        """
         for first in range(0, len(self.z_mm), BAND_ROWS):
             y0_mm = self.y0_mm + first * self.step_mm
             yield Raster(self.z_mm[first : first + BAND_ROWS], self.x0_mm, y0_mm, self.step_mm)
@@ -70,7 +77,9 @@ class _Window:
     cols: int
 
     def overlaps(self) -> Iterator[tuple[_Tile, _Box, _Box]]:
-        """The tiles that the window touches, each with the nodes that both share, in the tile and in the window."""
+        """The tiles that the window touches, each with the nodes that both share,
+        in the tile and in the window.
+        """
         for tile_row, rows_in_tile, rows in _spans(self.row, self.rows):
             for tile_col, cols_in_tile, cols in _spans(self.col, self.cols):
                 yield (tile_row, tile_col), (rows_in_tile, cols_in_tile), (rows, cols)
@@ -84,9 +93,9 @@ def _spans(first: int, count: int) -> Iterator[tuple[int, slice, slice]]:
 
 
 class SurfaceMap:
-    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes around it (Curless and
-    Levoy, SIGGRAPH 1996). Nodes without a point stay holes. A bounded map refuses by ValueError what would make it too
-    large.
+    """Weighted means of z at the nodes of a grid, each point shared bilinearly by the four nodes
+    around it (Curless and Levoy, SIGGRAPH 1996). Nodes without a point stay holes. A bounded map
+    refuses by ValueError what would make it too large.
     """
 
     def __init__(self, step_mm: float = STEP_MM, *, bounded: bool = True) -> None:
@@ -134,8 +143,8 @@ class SurfaceMap:
         high, wide = (1 + max(places) - min(places) for places in zip(*tiles, strict=True))
         if high * wide > EXTENT_MAX_TILES:
             raise ValueError(
-                f"the map would spread over more than {EXTENT_MAX_TILES} tiles of {TILE * self.step_mm:g} mm: "
-                "a pose is far from the others"
+                f"the map would spread over more than {EXTENT_MAX_TILES} tiles of "
+                f"{TILE * self.step_mm:g} mm: a pose is far from the others"
             )
 
     @property
@@ -157,7 +166,9 @@ class SurfaceMap:
         return np.asarray(z_mm[i - window.row, j - window.col])
 
     def raster(self, min_weight: float = MIN_WEIGHT) -> Raster:
-        """The map's bounding box as an array; cells below `min_weight` are holes; one empty cell before any contact."""
+        """The map's bounding box as an array; cells below `min_weight` are holes;
+        one empty cell before any contact.
+        """
         places = list(zip(*self._tiles, strict=True)) or [(0,), (0,)]
         (top, bottom), (left, right) = ((min(each), max(each)) for each in places)
         whole = np.full(((bottom - top + 1) * TILE, (right - left + 1) * TILE), np.nan, np.float32)
@@ -185,14 +196,17 @@ POINTS_MAX = 4_000_000  # limit for all presses together: 16 bytes each, 64 MB
 # If poses are not exact, some press makes the outline wrong, so a cell needs more weight.
 _MIN_WEIGHT_REFINED = 0.15
 _CAUCHY_MM = 0.2  # a point at this distance from its cell's mean counts half
-# Reject a press that is this far off its neighbours after refinement, or moved by this many standard deviations.
+# Reject a press that is this far off its neighbours after refinement,
+# or moved by this many standard deviations.
 DEVIATION_MAX_MM = 0.6
 CORRECTION_MAX_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedPress:
-    """A press in a finished map: its pose, its change at the apex from the reported one, why it is left out."""
+    """A press in a finished map: its pose, its change at the apex from the reported one,
+    why it is left out.
+    """
 
     base_T_sensor: Rigid
     correction_mm: float
@@ -203,8 +217,9 @@ class PlacedPress:
 
 @dataclass(frozen=True, slots=True)
 class StitchedMap:
-    """A finished map: its raster and presses; RMS of the moves in height that would make presses agree (0 if poses were
-    given as exact); whether presses were moved because their poses were not taken as exact.
+    """A finished map: its raster and presses; RMS of the moves in height that would make presses
+    agree (0 if poses were given as exact); whether presses were moved because their poses were not
+    taken as exact.
     """
 
     raster: Raster
@@ -215,7 +230,9 @@ class StitchedMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Press:
-    """Points in the sensor frame, their weights in height, the few that refine the pose, and the reported pose."""
+    """Points in the sensor frame, their weights in height, the few that refine the pose,
+    and the reported pose.
+    """
 
     points_mm: F32
     weight: F32
@@ -224,8 +241,9 @@ class _Press:
 
 
 class Stitcher:
-    """Collects presses; the map so far is there any time, the refined one at the end. `apex_mm`: z of the undeformed
-    skin's middle.
+    """Collects presses; the map so far is there any time, the refined one at the end.
+
+    `apex_mm`: z of the undeformed skin's middle.
     """
 
     def __init__(self, apex_mm: float) -> None:
@@ -240,8 +258,9 @@ class Stitcher:
         return len(self._presses)
 
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
-        """Add a press at its reported pose. ValueError if it has no points or the map is full (`POINTS_MAX`,
-        `TILES_MAX`).
+        """Add a press at its reported pose.
+
+        ValueError if it has no points or the map is full (`POINTS_MAX`, `TILES_MAX`).
         """
         count = len(points.points_mm)
         if count == 0:
@@ -258,8 +277,8 @@ class Stitcher:
         self.points += count
 
     def finish(self, error: PoseError | None = PoseError()) -> StitchedMap:  # noqa: B008 (frozen)
-        """Find the poses, whose error by the robot is `error` (None: exact), leave out presses that do not fit, and
-        fuse again.
+        """Find the poses, whose error by the robot is `error` (None: exact), leave out presses that
+        do not fit, and fuse again.
         """
         poses, disagreement_mm, part = [p.reported for p in self._presses], 0.0, 0.0
         if error is not None and self.presses > 1:
@@ -309,7 +328,9 @@ class Stitcher:
     def _fused(
         self, poses: Sequence[Rigid], rejected: Sequence[Reason | None], before: SurfaceMap | None
     ) -> SurfaceMap:
-        """Fuse the presses into a new map, with Cauchy's weight of each point's distance to the map `before`."""
+        """Fuse the presses into a new map, with Cauchy's weight of each point's distance
+        to the map `before`.
+        """
         fused = SurfaceMap(STEP_MM, bounded=False)  # refined presses lie slightly elsewhere
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):
             if reason is not None:

@@ -1,1 +1,3 @@
-"""Reduce a touch to the few numbers that a controller needs, by a model learnt from labelled frames."""
+"""Reduce a touch to the few numbers that a controller needs,
+by a model learnt from labelled frames.
+"""

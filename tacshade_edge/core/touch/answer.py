@@ -1,12 +1,14 @@
 """Compute a frame's touch by the calibration's model, or without one from height map and shear.
 
-Principal components of the networks' pooled activations, turned and scaled by the directions in which the quantities
-change, enter a Gaussian process with a linear and a squared-exponential kernel, reduced to few centres, so that a frame
-costs three small matrix products (subset of regressors: Rasmussen and Williams, Gaussian Processes for Machine
-Learning, MIT Press, 2006, section 8.3).
+Principal components of the networks' pooled activations, turned and scaled by the directions in
+which the quantities change, enter a Gaussian process with a linear and a squared-exponential
+kernel, reduced to few centres, so that a frame costs three small matrix products (subset of
+regressors: Rasmussen and Williams, Gaussian Processes for Machine Learning, MIT Press, 2006,
+section 8.3).
 
-Features of a ball's and a plate's imprint are alike, but their depth, area, volume and length differ: over the labelled
-table each is a quadratic function of the predicted numbers, and a frame far from it shows another object.
+Features of a ball's and a plate's imprint are alike, but their depth, area, volume and length
+differ: over the labelled table each is a quadratic function of the predicted numbers, and a frame
+far from it shows another object.
 """
 
 from __future__ import annotations
@@ -35,13 +37,18 @@ PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "tw
 """Names of the quantities that need no labels."""
 
 PLAIN_SIGMA = (0.4, 5.0, 5.0, 1.0, 1.0, 4.0)
-"""Standard deviation of each without labels. Plates on a sensor of the third family have less: 0.28, 1.1, 1.1, 0.34,
-0.42, 2.9; other objects and real skins are worse."""
+"""Standard deviation of each without labels.
+
+Plates on a sensor of the third family have less: 0.28, 1.1, 1.1, 0.34, 0.42, 2.9;
+other objects and real skins are worse.
+"""
 NO_IMPRINT = np.full(4, np.nan, np.float32)  # of a frame without contact, in a table
 
 
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
-    """Greatest depth, square root of area, cube root of volume, and length of the largest object: float32 (4,), mm."""
+    """Greatest depth, square root of area, cube root of volume, and length of the largest object:
+    float32 (4,), mm.
+    """
     depth_mm = max(one.depth_max_mm for one in objects)
     side_mm = math.sqrt(sum(one.area_mm2 for one in objects))
     edge_mm = math.cbrt(volume_mm3)
@@ -50,7 +57,9 @@ def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
 
 
 def terms(values: F64, low: F32, high: F32) -> F64:
-    """1, the quantities (n, Q) relative to the labelled range, and all their pairwise products: (n, T)."""
+    """1, the quantities (n, Q) relative to the labelled range, and all their pairwise products:
+    (n, T).
+    """
     half = np.where(high > low, (high - low) / 2, 1)
     parts = (values - (low + high) / 2) / half
     once = np.tri(parts.shape[1], dtype=bool).T  # row by row
@@ -61,13 +70,17 @@ def terms(values: F64, low: F32, high: F32) -> F64:
 
 
 def belongs(model: TouchModel, values: F64, imprint: F32) -> bool:
-    """Whether a frame's imprint is like those of the table at the predicted values, float64 (Q,)."""
+    """Whether a frame's imprint is like those of the table at the predicted values,
+    float64 (Q,).
+    """
     left = imprint - terms(values[None], model.low, model.high)[0] @ model.imprint_weights
     return bool(left @ model.imprint_precision @ left <= model.imprint_max)
 
 
 def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
-    """Predict the quantities (Q,) of a frame and their deviations, and whether the frame is like those of the table."""
+    """Predict the quantities (Q,) of a frame and their deviations,
+    and whether the frame is like those of the table.
+    """
     standard = scaled(features, model.mean, model.deviation)
     parts = standard @ model.components
     at = coordinates(parts[None], model.origin)[:, : len(model.metric)] @ model.metric
@@ -87,14 +100,18 @@ def scaled(features: F32, mean: F32, deviation: F32) -> F32:
 
 
 def coordinates(parts: Floats, origin: F32) -> Floats:
-    """The components (n, m), and their ratios to the press, in which light ones show their tilt, too: (n, 2 m)."""
+    """The components (n, m), and their ratios to the press, in which light ones show their tilt,
+    too: (n, 2 m).
+    """
     away = parts - origin
     press = np.sqrt((away[:, :PRESS_COMPONENTS] ** 2).sum(axis=1, keepdims=True) + LEAST_PRESS**2)
     return np.concatenate((parts, RATIOS * away / press), axis=1)
 
 
 def kernel(at: Floats, centres: Floats, width: float) -> Floats:
-    """The weighted coordinates (n, m) and their squared-exponential kernel with each centre, (n, m + M)."""
+    """The weighted coordinates (n, m) and their squared-exponential kernel with each centre, (n,
+    m + M).
+    """
     ones = np.ones(at.shape[1], at.dtype)  # a product sums faster than `sum`
     squares = ((at * at) @ ones)[:, None] + (centres * centres) @ ones - 2 * (at @ centres.T)
     near = np.exp(np.maximum(squares, 0) * (-0.5 / width**2))
@@ -109,7 +126,9 @@ def leverage(at: Floats, spread: F32) -> Floats:
 
 
 def residual(standard: Floats, at: Floats, scale: float) -> Floats:
-    """The part of each frame's squared standardised features that its coordinates leave out, (n,), 0 to 1."""
+    """The part of each frame's squared standardised features that its coordinates leave out, (n,),
+    0 to 1.
+    """
     left = 1 - scale**2 * (at * at).sum(axis=1) / np.maximum(
         (standard * standard).sum(axis=1), 1e-12
     )
@@ -118,16 +137,19 @@ def residual(standard: Floats, at: Floats, scale: float) -> Floats:
 
 
 def unreached(at: Floats, values: Floats) -> Floats:
-    """The kernel's variance that the basis functions leave out, (n,): no label lowers it (section 8.3)."""
+    """The kernel's variance that the basis functions leave out, (n,):
+    no label lowers it (section 8.3).
+    """
     own = 1 + LINEAR**2 * (at * at).sum(axis=1)
     left: Floats = np.maximum(own - (values * values).sum(axis=1), 0)
     return left
 
 
 def touch_by_model(model: TouchModel, features: F32, imprint: F32 | None) -> Touch:
-    """The touch that a model predicts from a frame's features, float32 (D,), and its imprint (`imprint_of`), which is
-    None if the height map shows no contact. Values beyond the labelled range have an interval that reaches back to it;
-    those farther off than the range is wide are unknown.
+    """The touch that a model predicts from a frame's features, float32 (D,), and its imprint
+    (`imprint_of`), which is None if the height map shows no contact. Values beyond the labelled
+    range have an interval that reaches back to it; those farther off than the range is wide are
+    unknown.
     """
     values, sigma, alike = predict(model, features)
     if not alike or (imprint is not None and not belongs(model, values, imprint)):
@@ -159,7 +181,9 @@ def touch_by_model(model: TouchModel, features: F32, imprint: F32 | None) -> Tou
 def touch_without_labels(
     objects: Sequence[TouchedObject], shear_mm: tuple[float, float] | None
 ) -> Touch:
-    """The touch without a model: greatest depth, tilt of the largest object's plane and its twist, and mean shear."""
+    """The touch without a model: greatest depth, tilt of the largest object's plane and its twist,
+    and mean shear.
+    """
     first = objects[0]
     x, y, z = first.normal
     tilt_x_deg, tilt_y_deg = (

@@ -1,11 +1,14 @@
-"""Learn the touch model in closed form from a table of labelled frames: no gradient descent, no random numbers.
+"""Learn the touch model in closed form from a table of labelled frames:
+no gradient descent, no random numbers.
 
-Kernel width and regularisation minimise the error on held-out groups of frames, which a linear model gives without
-another fit (Rasmussen and Williams, 2006, eq. 5.12, here for several): r_g = (I - H_gg)⁻¹ (y_g - ŷ_g).
+Kernel width and regularisation minimise the error on held-out groups of frames, which a linear
+model gives without another fit (Rasmussen and Williams, 2006, eq. 5.12, here for several): r_g =
+(I - H_gg)⁻¹ (y_g - ŷ_g).
 
-Most components show nothing of the quantities. A first fit finds the directions along which its answers change, by the
-mean outer product of their gradients; the second fit sees these, each scaled by the square root of that change (one
-step of Radhakrishnan, Beaglehole, Pandit and Belkin, Science 383, 2024).
+Most components show nothing of the quantities. A first fit finds the directions along which its
+answers change, by the mean outer product of their gradients; the second fit sees these, each scaled
+by the square root of that change (one step of Radhakrishnan, Beaglehole, Pandit and Belkin, Science
+383, 2024).
 """
 
 from __future__ import annotations
@@ -52,16 +55,25 @@ FOLDS = 10
 FOLDS_OF_MANY = 3  # that are tried in a larger table
 UNTOUCHED = 0.03  # share of the frames, the least changed, whose mean stands for the untouched skin
 GATE_QUANTILE, GATE_SHARE = 0.01, 0.8
-"""The model answers a frame that has changed by at least this share of this quantile over the table."""
-SEEN_ERRORS = 2.0  # least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`
+"""The model answers a frame that has changed by at least this share
+of this quantile over the table.
+"""
+# Least held-out R² of a seen quantity, in deviations of chance, 1 / √n; also at least `SEEN`.
+SEEN_ERRORS = 2.0
 SEEN = 0.1
 Z_90 = 1.645
-ANOTHER = 5.0  # an imprint is another object's beyond this multiple of held-out squared distances' 95th percentile,
+# An imprint is another object's beyond this multiple
+# of held-out squared distances' 95th percentile,.
+ANOTHER = 5.0
 # and beyond `UNLIKE` times their 99.5th
 IMPRINT_RIDGE = 3.0
-LEAST_DEVIATION = 1e-3  # of an imprint's number over the table, in mm, and of held-out variance relative to the table's
-UNLIKE = 1.5  # a frame is unlike the table beyond this multiple of the 99th percentile of held-out frames
-CONTRADICTS = 5.0  # a row contradicts the others if its held-out residual exceeds this many robust standard deviations
+# Of an imprint's number over the table, in mm, and of held-out variance relative to the table's.
+LEAST_DEVIATION = 1e-3
+# a frame is unlike the table beyond this multiple of the 99th percentile of held-out frames.
+UNLIKE = 1.5
+# a row contradicts the others if its held-out residual exceeds this many robust standard
+# deviations.
+CONTRADICTS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +99,9 @@ class LearntTouch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Space:
-    """A table's principal components, its frames' coordinates in them (`at`), and the untouched skin's (`origin`)."""
+    """A table's principal components, its frames' coordinates in them (`at`),
+    and the untouched skin's (`origin`).
+    """
 
     mean: F32
     deviation: F32
@@ -100,7 +114,9 @@ class _Space:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Functions (n, K), uncorrelated over the table, sums of their squares, and the variance beyond the centres."""
+    """Functions (n, K), uncorrelated over the table, sums of their squares,
+    and the variance beyond the centres.
+    """
 
     width: float
     centres: F64
@@ -112,8 +128,8 @@ class _Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """One quantity's weights, and each labelled row's held-out residual and its variance relative to the noise (NaN if
-    the row was not left out of the directions).
+    """One quantity's weights, and each labelled row's held-out residual and its variance relative
+    to the noise (NaN if the row was not left out of the directions).
     """
 
     rows: I64
@@ -125,7 +141,9 @@ class _Solved:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a label about the model for which the 90 % interval holds 90 % of held-out rows."""
+        """Standard deviation of a label about the model for which the 90 % interval holds 90 %
+        of held-out rows.
+        """
         return max(
             float(np.nanquantile(np.abs(self.residuals) / np.sqrt(1 + self.variances), 0.9)) / Z_90,
             1e-9,
@@ -144,9 +162,10 @@ def learn(
     groups: I64,
     networks: str,
 ) -> LearntTouch:
-    """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, changed parts of the picture
-    (n,), and labels (n, Q), NaN if a frame has none; each quantity has at least `LEAST_ROWS`, in at least
-    `LEAST_GROUPS` groups. Frames of one press share a group, held out together.
+    """Learn a touch model from features (n, D), imprints (n, I), NaN without contact, changed parts
+    of the picture (n,), and labels (n, Q), NaN if a frame has none; each quantity has at least
+    `LEAST_ROWS`, in at least `LEAST_GROUPS` groups. Frames of one press share a group, held out
+    together.
     """
     space = _space(features, changed_parts)
     whole = coordinates(space.at, space.origin)
@@ -224,7 +243,9 @@ def _fitted(at: F64, labels: F64, groups: I64) -> _Fit:
 
 
 def _metric(fit: _Fit, at: F64, labels: F64) -> F64:
-    """The directions (m, n) of coordinates in which a fit's answers change, so that coordinates keep their length."""
+    """The directions (m, n) of coordinates in which a fit's answers change,
+    so that coordinates keep their length.
+    """
     basis, solved = fit
     size = at.shape[1]
     near = kernel(at, basis.centres, basis.width)[:, size:]
@@ -313,14 +334,18 @@ def _solve(basis: _Basis, labels: F64, groups: I64, ridge: float | None = None) 
 
 
 def _precision(basis: _Basis, rows: int, ridge: float) -> F64:
-    """Variance of the weight of each of the basis functions that vary most, relative to the noise."""
+    """Variance of the weight of each of the basis functions that vary most,
+    relative to the noise.
+    """
     return np.asarray(1 / (basis.power[-FUNCTIONS:] * (rows / len(basis.values)) + ridge))
 
 
 def _held_out(
     values: F64, squares: F64, inverse: F64, left: F64, at: F64, groups: I64
 ) -> tuple[F64, F64]:
-    """Residuals and variances (n, R) of the rows, each predicted from the other groups, by R inverses (K, R)."""
+    """Residuals and variances (n, R) of the rows, each predicted from the other groups,
+    by R inverses (K, R).
+    """
     residuals = left[:, None] - values @ (inverse * at[:, None])
     own = squares @ inverse + 1 / len(values)
     order = np.argsort(groups, kind="stable")
@@ -336,8 +361,9 @@ def _held_out(
 
 
 def _imprint(imprints: F64, values: F64, groups: I64) -> tuple[F64, F64, float]:
-    """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of held-out groups: weights,
-    precision and greatest distance of the model (`TouchModel.imprint_weights` and the next).
+    """Fit the imprint by least squares from the quantities' terms, (n, T), with the errors of
+    held-out groups: weights, precision and greatest distance of the model
+    (`TouchModel.imprint_weights` and the next).
     """
     if not len(imprints):  # any imprint belongs
         count = imprints.shape[1]
@@ -395,8 +421,9 @@ def _judged(
     first: _Fit,
     second: _Fit,
 ) -> tuple[tuple[float, float], list[_Solved]]:
-    """Limits of leverage and residual for frames like the table's, and the second fit's held-out values, of frames held
-    out before the directions (and in a small table the components) were found, because these fit few frames too well.
+    """Limits of leverage and residual for frames like the table's, and the second fit's held-out
+    values, of frames held out before the directions (and in a small table the components) were
+    found, because these fit few frames too well.
     """
     whole = len(features) <= FOLDED_ROWS
     fold = np.unique(groups, return_inverse=True)[1] % FOLDS

@@ -33,7 +33,9 @@ def small_pad() -> Iterator[None]:
 
 @pytest.fixture
 def faint(tmp_path: Path) -> tuple[Path, Path]:
-    """A calibration that knows the sensor at rest, and a folder with a free picture and a touch that no map shows."""
+    """A calibration that knows the sensor at rest,
+    and a folder with a free picture and a touch that no map shows.
+    """
     limits = RestLimits(60, 1e-4, height_mm=0.001, local_change=0.9, changed_part=0.9)
     calibration, pictures = tmp_path / "rest.npz", tmp_path / "pictures"
     known = replace(calibrated(HALF, 0), rest=dict.fromkeys(("fast", "balanced"), limits))

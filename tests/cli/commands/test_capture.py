@@ -161,7 +161,9 @@ NO_POSE = "not taken: the robot reported no pose for this picture"
 
 
 def takes(one: Person, line: str, shown: str) -> None:
-    """Type a press until it is taken: on a busy machine the robot's poses may be late, and a person tries again."""
+    """Type a press until it is taken: on a busy machine the robot's poses may be late,
+    and a person tries again.
+    """
     for _ in range(5):
         one.types(line)
         if one.hears(shown, NO_POSE) == shown:
@@ -173,7 +175,9 @@ def takes(one: Person, line: str, shown: str) -> None:
 def test_a_robot_states_place_and_depth(
     tmp_path: Path, config: Path, press: Press, sensor_yaml: str
 ) -> None:
-    """It holds the sensor, turned and off its flange, and presses it on a ball that stands still."""
+    """It holds the sensor, turned and off its flange,
+    and presses it on a ball that stands still.
+    """
     link, out = Path(f"/dev/shm/tacshade-capture-{os.getpid()}"), tmp_path / "out"
     config.write_text(f"{config.read_text()}serial: {{device: {link}}}\n")
     model, flange_T_sensor = SensorModel(), shift(0, 5, 80) @ turn((0, 0, 0.5))

@@ -1,4 +1,6 @@
-"""A person who labels frames of the simulated sensor: by typing, with a scale that a pty plays, with a robot."""
+"""A person who labels frames of the simulated sensor:
+by typing, with a scale that a pty plays, with a robot.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +98,10 @@ def test_readings_that_are_typed(out: Path, config: Path, press: Press) -> None:
         for words, why in (
             (
                 "",
-                "found nothing, expected NAME=VALUE ..., because there is neither a scale nor a robot",
+                (
+                    "found nothing, expected NAME=VALUE ..., "
+                    "because there is neither a scale nor a robot"
+                ),
             ),
             ("force_n=1", "found 'force_n=1', expected NAME=VALUE, where NAME is one of depth_mm,"),
             ("force_z_n=much", "press: force_z_n: found 'much', expected a number"),
@@ -155,7 +160,8 @@ def test_a_scale_is_lined_up_with_the_pictures(out: Path, config: Path, press: P
         )
         assert one.ends() == 0
     assert error_ms < 50
-    # A picture is taken up to a frame after the hand has moved, a reading up to a twentieth of a second later.
+    # A picture is taken up to a frame after the hand has moved,
+    # a reading up to a twentieth of a second later.
     assert 1e3 * LATE_S - 75 < late_ms < 1e3 * LATE_S + 75
     rows = labelled(out)
     assert {row.group for row in rows} == {"1", "2", "3", "4", "5"}

@@ -1,4 +1,6 @@
-"""``tacshade-edge dashboard`` and ``bridge``: what they print, and what they refuse, in one line."""
+"""``tacshade-edge dashboard`` and ``bridge``:
+what they print, and what they refuse, in one line.
+"""
 
 from __future__ import annotations
 

@@ -39,7 +39,10 @@ ADDRESS = re.compile(r"http://\S+?:(\d+)/(login#\S+)?")
 def demo(
     command: list[str], folder: Path
 ) -> Iterator[tuple[subprocess.Popen[str], tuple[str, str]]]:
-    """A running demo with its files in `folder`, and the port and path of its page. Killed, it leaves no process."""
+    """A running demo with its files in `folder`, and the port and path of its page.
+
+    Killed, it leaves no process.
+    """
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -197,7 +200,10 @@ def test_the_page_draws_the_presses_on_another_machine_with_the_token_that_is_pr
             return 0 in peaks and len(peaks) > 5 and 1.0 < max(peaks) < 8.0
 
         wait_until(moves, 60, "depths that change on the canvas")
-        pad = "return [...document.querySelectorAll('#sensors button')].find((t) => t.textContent === 'demo-map')"
+        pad = (
+            "return [...document.querySelectorAll('#sensors button')].find((t) => t.textContent "
+            "=== 'demo-map')"
+        )
         wait_until(lambda: page.execute_script(pad), 60, "the other sensor")
         page.execute_script(f"{pad}.click()")  # at once: tabs are drawn anew as hands come
         presses = "return tacshade.stitched?.presses ?? 0"

@@ -1,4 +1,6 @@
-"""``tacshade-edge replay``, and 200 simulated frames against tests/golden/replay.json (support/golden_replay.py)."""
+"""``tacshade-edge replay``, and 200 simulated frames against tests/golden/replay.json
+(support/golden_replay.py).
+"""
 
 from __future__ import annotations
 
@@ -194,8 +196,10 @@ def test_an_interrupted_run_leaves_nothing(folder: Path) -> None:
 # For another machine's rounding: far below what a change of the reconstruction does.
 DEPTH_TOLERANCE_MM, CENTROID_TOLERANCE_MM = 0.01, 0.016
 MOST_OUTSIDE, MOST_TIMES = 4, 2.5
-"""Frames that a processor's rounding may take out of the tolerances, and how far out. One without AVX-512 took 2 of 200
-out, by up to 0.022 mm in depth and 0.025 mm in the centroid."""
+"""Frames that a processor's rounding may take out of the tolerances, and how far out.
+
+One without AVX-512 took 2 of 200 out, by up to 0.022 mm in depth and 0.025 mm in the centroid.
+"""
 
 
 def differences(

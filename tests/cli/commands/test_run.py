@@ -1,4 +1,6 @@
-"""The daemon as its users run it: a child process, its exit code, its lines; and what it imports."""
+"""The daemon as its users run it: a child process, its exit code, its lines;
+and what it imports.
+"""
 
 from __future__ import annotations
 
@@ -161,7 +163,8 @@ def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
     code = (
-        "from tacshade_edge.cli.entry import entry; from tacshade_edge.storage.recording import image_source\n"
+        "from tacshade_edge.cli.entry import entry; from tacshade_edge.storage.recording import "
+        "image_source\n"
         "def read(self): raise ZeroDivisionError('a defect')\n"
         "image_source.FilesSource.read = read\n"
         "entry()"
@@ -209,7 +212,8 @@ OTHERS = {
     "sklearn",
     "torch",
 }
-# Other commands; what waits for a reference to be taken, for a camera, for a simulated source; what needs poses.
+# Other commands; what waits for a reference to be taken, for a camera, for a simulated source;
+# what needs poses.
 COMMANDS, ON_DEMAND, POSES = (
     "simulator studies dashboard doctor daemon.replay",
     "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",

@@ -109,9 +109,11 @@ def test_its_surface_is_that_of_the_simulators_press(
         hit = np.isfinite(height)
         assert np.count_nonzero(hit) > 5
         points = skin_points(height, rays, where).astype(np.float64)[hit]
-        # The simulator finds a tilted object's lowest point within 2 µm; a circle of flats is 1.5 µm inside.
+        # The simulator finds a tilted object's lowest point within 2 µm;
+        # a circle of flats is 1.5 µm inside.
         assert np.abs(press.distance_mm(R_MM, points)).max() < 0.008
-        # Nothing of it lies nearer to the camera inside the skin, and what is not met is free of it.
+        # Nothing of it lies nearer to the camera inside the skin,
+        # and what is not met is free of it.
         above = skin_points(
             np.where(rays.inside, np.float32(0.02), np.float32(np.nan)), rays, where
         )
@@ -162,13 +164,30 @@ angles = st.floats(-60, 60)
 @examples(60)
 @given(
     st.sampled_from(["cylinder", "box", "bar", "cone", "mesh"]),
-    st.floats(1e-3, 500), st.floats(1e-3, 175), st.floats(1, 200), st.floats(-300, 300), st.floats(-300, 300),
-    st.floats(1e-6, 1), st.floats(-360, 360), angles, angles, st.sampled_from([None, 0.01, 14.0, 1000.0]),
-)  # fmt: skip
+    st.floats(1e-3, 500),
+    st.floats(1e-3, 175),
+    st.floats(1, 200),
+    st.floats(-300, 300),
+    st.floats(-300, 300),
+    st.floats(1e-6, 1),
+    st.floats(-360, 360),
+    angles,
+    angles,
+    st.sampled_from([None, 0.01, 14.0, 1000.0]),
+)
 def test_extremes_stay_finite_and_within_the_skin(
-    shape: str, size: float, angle: float, r: float, x: float, y: float, depth: float, yaw: float, tilt_x: float,
-    tilt_y: float, distance: float | None,
-) -> None:  # fmt: skip
+    shape: str,
+    size: float,
+    angle: float,
+    r: float,
+    x: float,
+    y: float,
+    depth: float,
+    yaw: float,
+    tilt_x: float,
+    tilt_y: float,
+    distance: float | None,
+) -> None:
     made = {
         "cylinder": lambda: shapes.cylinder("c", size),
         "box": lambda: shapes.box("b", size, size / 7),
@@ -198,7 +217,9 @@ def named(name: str) -> Printable:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_a_solid_that_a_printer_can_fill(name: str) -> None:
-    """Every edge has two faces, which run along it in opposite directions, and the faces point outwards."""
+    """Every edge has two faces, which run along it in opposite directions,
+    and the faces point outwards.
+    """
     triangles = named(name).triangles_mm
     corners = np.round(triangles, 9) + 0.0
     edges: Counter[tuple[bytes, bytes]] = Counter()

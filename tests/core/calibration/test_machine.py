@@ -74,7 +74,9 @@ def test_the_press_that_gave_the_place_is_found_again(
 def test_a_ball_about_whose_centre_the_sensor_turns_keeps_its_centre(
     angle: tuple[float, ...],
 ) -> None:
-    """It lies on the line through the skin's centre: whatever way that points, the ball is as far from it."""
+    """It lies on the line through the skin's centre:
+    whatever way that points, the ball is as far from it.
+    """
     reported = Touch(0.0, 0.0, 2.0)
     found = fixed_indenter(shift(0.0, 0.0, 0.0), reported, 4.0, R_MM)
     assert found.point_mm == pytest.approx((0.0, 0.0, R_MM - 2.0 + 4.0))

@@ -34,7 +34,9 @@ def maps_of(g_d: F32, inside: np.ndarray | None = None) -> GreyMaps:
 @settings(deadline=None)
 @given(SIZES, SIZES, st.floats(0.1, 30), st.integers(0, 2**32 - 1))
 def test_psi_solves_its_equation(rows: int, cols: int, reach: float, seed: int) -> None:
-    """ψ - ℓ² ∇²ψ = change with mirrored borders, by a dense float64 solve (even sizes: no padding)."""
+    """ψ - ℓ² ∇²ψ = change with mirrored borders, by a dense float64 solve (even sizes:
+    no padding).
+    """
     rows, cols = 2 * (rows // 8 + 1), 2 * (cols // 8 + 1)
     change = np.random.default_rng(seed).uniform(0, 255, (rows, cols)).astype(np.float32)
 
@@ -57,7 +59,8 @@ def test_darkening_counts_as_change_and_the_outside_does_not() -> None:
     psi = screened_change(maps_of(change, inside), 3.0)
     assert (psi >= 0).all()
     assert not psi[~inside].any()
-    # A dark rim says more of the depth than a bright middle: the same change is worth more as darkening.
+    # A dark rim says more of the depth than a bright middle:
+    # the same change is worth more as darkening.
     dark, bright = (
         screened_change(maps_of(sign * np.abs(change), inside), 3.0) for sign in (-1, 1)
     )

@@ -1,4 +1,6 @@
-"""The paper's α from presses: deeper presses get deeper, and a calibration without presses keeps its constant."""
+"""The paper's α from presses: deeper presses get deeper,
+and a calibration without presses keeps its constant.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A picture that `calibrate` takes as a reference is never refused against itself, nor a skin in other light."""
+"""A picture that `calibrate` takes as a reference is never refused against itself,
+nor a skin in other light.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {
 
 
 def tip_pitch_px(model: SensorModel) -> float:
-    """Mean distance of neighbouring pin tips, projected, in the middle of the disc: what the camera sees."""
+    """Mean distance of neighbouring pin tips, projected, in the middle of the disc:
+    what the camera sees.
+    """
     chart = print_features(model).pin_chart_mm
     along = chart_to_direction(chart[:, 0], chart[:, 1], model.skin_radius_mm)
     tips = along * (model.skin_radius_mm - model.pin_length_pitches * model.pitch_mm)
@@ -296,7 +300,9 @@ def test_a_dome_of_sparse_pins_is_calibrated_and_felt() -> None:
 
 @pytest.mark.slow
 def test_a_longer_exposure_is_no_glare() -> None:
-    """The camera of the raw TacTip frames lifts the dark by 24 levels in the first of each recording."""
+    """The camera of the raw TacTip frames lifts the dark by 24 levels in the first
+    of each recording.
+    """
     made = make_reconstructor(calibrated(sparse_dome(contrast_grey=170)), PROFILES["balanced"])
     lifted = step(made, sparse_dome(1, exposure_grey=24, contrast_grey=170))
     assert (lifted.valid, lifted.contact, lifted.degraded) == (True, False, None)
@@ -318,7 +324,9 @@ STATED = re.compile(r"visible_circle: \{row_px: (-?\d+), col_px: (-?\d+), radius
 
 @cache
 def picture(model: SensorModel, keep: Callable[[F64], Bool] | None = None) -> U8:
-    """The unloaded skin, with the features of the print that `keep` keeps by their places in the skin's chart."""
+    """The unloaded skin, with the features of the print that `keep` keeps by their places
+    in the skin's chart.
+    """
     marks = print_features(model)
     if keep is not None:
         markers, pins = keep(marks.marker_chart_mm.mean(axis=1)), keep(marks.pin_chart_mm)
@@ -329,7 +337,9 @@ def picture(model: SensorModel, keep: Callable[[F64], Bool] | None = None) -> U8
 
 
 def cut(model: SensorModel, edges: str, part: float) -> tuple[U8, Disc]:
-    """A picture whose top, bottom, left or right edge cuts off this part of the radius, and the true circle."""
+    """A picture whose top, bottom, left or right edge cuts off this part of the radius,
+    and the true circle.
+    """
     grey, reach = picture(model), (1 - part) * model.disc_radius_px
     top, left = (
         max(round(at - reach), 0) if edge in edges else 0
@@ -363,7 +373,9 @@ def thresholded(model: SensorModel) -> tuple[U8, Disc]:
 def hexagon(
     rings: int, pitch_px: float, pin_px: float, *, lamps: bool = False, binary: bool = False
 ) -> tuple[U8, Disc]:
-    """White pins without a rim, and the circle around them, half a pitch wider; `lamps`: a bright ring beyond."""
+    """White pins without a rim, and the circle around them, half a pitch wider; `lamps`:
+    a bright ring beyond.
+    """
     shape, row_c, col_c = (480, 640), 236.7, 325.2
     at = np.hypot(*(np.indices(shape) - np.array((row_c, col_c))[:, None, None]))
     disc = Disc(row_c, col_c, (rings + 0.5) * pitch_px)
@@ -396,7 +408,9 @@ def error(found: Disc, true: Disc) -> float:
 
 
 def answer(grey: U8, true: Disc) -> tuple[str, float]:
-    """What becomes of a picture, found, warned or refused, and the error of that circle (NaN: none)."""
+    """What becomes of a picture, found, warned or refused, and the error of that circle (NaN:
+    none).
+    """
     try:
         found = visible_disc(grey, None)
     except ConfigError as refusal:

@@ -47,7 +47,9 @@ def geometry(distance: float | None = 14.0) -> Geometry:
 
 
 def seen(ball: Ball, factor: float = 1.0) -> Inverse:
-    """A network that is off by a factor, and right about a contact that is the middle of the ball's imprint."""
+    """A network that is off by a factor, and right about a contact that is the middle
+    of the ball's imprint.
+    """
     height = np.nan_to_num(known_height(geometry(), ball))
     contact = height > 0.5 * ball.depth_max_mm(20.0)
     logit = np.where(contact, 5, -5).astype(np.float32)

@@ -106,7 +106,8 @@ def test_the_split_is_the_best_of_all_splits_up_to_a_bin(numbers: list[int]) -> 
     exact = np.unique(values).astype(float)
     best = min(squares(values.astype(float), t) for t in exact[:-1])
     bin_width = (exact[-1] - exact[0]) / BINS
-    # Each value stands in the middle of its bin, at most half a width off, when the splits are compared.
+    # Each value stands in the middle of its bin, at most half a width off,
+    # when the splits are compared.
     allowed = math.sqrt(best) + math.sqrt(len(values)) * bin_width
     assert math.sqrt(squares(values.astype(float), threshold)) <= allowed + 1e-6
 

@@ -22,8 +22,15 @@ def contact(
     extent_mm: float = 0.0,
 ) -> TouchedObject:
     extents_mm = (extent_mm, extent_mm, 0.0)
-    motion = {"shear_mm": (dragged_mm, 0.0), "strain_mm": strain_mm}
-    return TouchedObject(1, (x_mm, y_mm, 0.0), extents_mm, depth_mm, 1.0, **motion)  # type: ignore[arg-type]
+    return TouchedObject(
+        1,
+        (x_mm, y_mm, 0.0),
+        extents_mm,
+        depth_mm,
+        1.0,
+        shear_mm=(dragged_mm, 0.0),
+        strain_mm=strain_mm,
+    )
 
 
 def followed(

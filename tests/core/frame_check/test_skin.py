@@ -78,7 +78,9 @@ def logits(untrusted: Bool, logit: float = 4.0) -> F32:
 
 
 def test_untrusted_patches_are_no_torn_rows() -> None:
-    """A skin that the network does not know is untrusted in patches, however large; a torn picture across the disc."""
+    """A skin that the network does not know is untrusted in patches, however large;
+    a torn picture across the disc.
+    """
     inside = np.hypot(ROW, COL) < 54
     patch, rows = COL > 0, ROW > 24
     assert untrusted_part(patch & inside, inside) > 0.4
@@ -98,7 +100,8 @@ def test_nothing_of_a_disc_without_cells_is_untrusted() -> None:
 
 
 DISC = Disc(50.0, 60.0, 40.0)
-# A tear by half a stripe changes every pixel of a row, and nothing else differs from row to row but the noise.
+# A tear by half a stripe changes every pixel of a row,
+# and nothing else differs from row to row but the noise.
 STRIPES = camera_faults.noise(
     np.tile(np.uint8(60) + np.uint8(120) * (np.arange(120) % 16 < 8), (100, 1)), 2, 1
 )

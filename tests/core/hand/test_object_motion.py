@@ -1,4 +1,6 @@
-"""A held object's motion from patches whose skin sticks, against the motion that they were made of."""
+"""A held object's motion from patches whose skin sticks,
+against the motion that they were made of.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def three(vector: F64) -> tuple[float, float, float]:
 
 
 def patch(k: int, moved: Rigid, slips: bool = False) -> Patch:
-    """Finger `k` of five around a cylinder of radius 20 mm, on a dome of the same radius; some lean."""
+    """Finger `k` of five around a cylinder of radius 20 mm, on a dome of the same radius;
+    some lean.
+    """
     a = 2 * math.pi * k / 5
     normal = -np.array((math.cos(a), math.sin(a), 0.0))
     axis = turn((0.0, 0.0, 0.2 * (k % 3 - 1))).rotation @ normal

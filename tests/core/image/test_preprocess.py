@@ -204,7 +204,9 @@ def test_nothing_has_changed_in_a_reference_that_is_halved(rows: int, cols: int)
 
 @pytest.mark.slow
 def test_a_camera_that_moved_by_a_pixel_costs_a_fifth_of_the_depth_at_most() -> None:
-    """Pixels are paired another way then: 0.215 at worst and 0.074 on average; 0.256 and 0.104 with (0, 1, 0)."""
+    """Pixels are paired another way then: 0.215 at worst and 0.074 on average;
+    0.256 and 0.104 with (0, 1, 0).
+    """
     errors = {}
     for model in (FULL, random_sensor(2)):
         calibration, scale = calibrated(model, 0), model.skin_radius_mm / FULL.skin_radius_mm

@@ -31,7 +31,9 @@ THRESHOLD_LSB = 2
 
 
 def exact_threshold(grey: U8, mask: U8, pitch_px: float) -> F64:
-    """The adaptive threshold in float64, pixel by pixel: block means, box means of them, linear between."""
+    """The adaptive threshold in float64, pixel by pixel:
+    block means, box means of them, linear between.
+    """
     size = tuple(-(-n // 4) * 4 for n in grey.shape)
     inside, masked = np.zeros(size), np.zeros(size)
     inside[: grey.shape[0], : grey.shape[1]] = mask
@@ -64,9 +66,15 @@ def exact_threshold(grey: U8, mask: U8, pitch_px: float) -> F64:
 
 @settings(deadline=None)
 @given(
-    st.integers(1, 45), st.integers(1, 45), st.floats(-10, 50), st.floats(-10, 50), st.floats(1, 40), st.floats(1, 20),
-    st.sampled_from(["noise", "checkerboard", "step", "constant", "extremes"]), st.integers(0, 2**32 - 1),
-)  # fmt: skip
+    st.integers(1, 45),
+    st.integers(1, 45),
+    st.floats(-10, 50),
+    st.floats(-10, 50),
+    st.floats(1, 40),
+    st.floats(1, 20),
+    st.sampled_from(["noise", "checkerboard", "step", "constant", "extremes"]),
+    st.integers(0, 2**32 - 1),
+)
 def test_the_threshold_is_the_exact_one_within_its_bound(
     height: int,
     width: int,
@@ -177,7 +185,9 @@ def test_a_level_is_that_below_which_a_part_lies(values: U8, part: float) -> Non
 
 
 def slow_box(values: U8, window: int, grid: Grid) -> F64:
-    """Sum over the part of each box that lies in the window, which begins at row 3 and column 5, in float64."""
+    """Sum over the part of each box that lies in the window, which begins at row 3 and column 5,
+    in float64.
+    """
     half = window // 2
     sums = np.zeros((grid.rows, grid.cols))
     for i in range(grid.rows):
@@ -190,9 +200,13 @@ def slow_box(values: U8, window: int, grid: Grid) -> F64:
 
 @examples(40)
 @given(
-    st.integers(1, 40), st.integers(1, 40), st.integers(0, 30), st.integers(1, 5), st.sampled_from([1, 255]),
+    st.integers(1, 40),
+    st.integers(1, 40),
+    st.integers(0, 30),
+    st.integers(1, 5),
+    st.sampled_from([1, 255]),
     st.integers(0, 2**32 - 1),
-)  # fmt: skip
+)
 def test_box_sums_are_exact(
     height: int, width: int, half: int, step: int, top: int, seed: int
 ) -> None:
@@ -209,9 +223,13 @@ def test_box_sums_are_exact(
 
 @examples(40)
 @given(
-    st.integers(1, 30), st.integers(1, 30), st.floats(-20, 40), st.floats(-20, 40), st.floats(0.3, 9),
+    st.integers(1, 30),
+    st.integers(1, 30),
+    st.floats(-20, 40),
+    st.floats(-20, 40),
+    st.floats(0.3, 9),
     st.integers(0, 2**32 - 1),
-)  # fmt: skip
+)
 def test_means_are_those_of_square_pixels(
     height: int, width: int, row0: float, col0: float, step: float, seed: int
 ) -> None:

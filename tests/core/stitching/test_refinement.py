@@ -59,7 +59,8 @@ def test_exact_poses_stay() -> None:
 
 
 def test_the_map_does_not_bend() -> None:
-    # A tilt of the whole map and its height come from the mean of all reports, whatever the overlaps say.
+    # A tilt of the whole map and its height come from the mean of all reports,
+    # whatever the overlaps say.
     reported = misreported(TRUE, 3)
     errors, places = (
         apex_errors(refine_poses(PRESSES, reported, APEX, PoseError())),

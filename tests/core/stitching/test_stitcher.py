@@ -35,7 +35,9 @@ def test_exact_poses_are_taken_as_exact() -> None:
 
 
 def with_depth_errors(seed: int, spread: float) -> list[PressPoints]:
-    """As a network sees presses: each contact too deep or too shallow, most in its middle, by up to half a mm or so."""
+    """As a network sees presses: each contact too deep or too shallow, most in its middle,
+    by up to half a mm or so.
+    """
     rng = np.random.default_rng(seed)
     presses = []
     for press in PRESSES:

@@ -28,7 +28,9 @@ OBJECT = TouchedObject(1, (0.0, 0.0, 19.0), (3.0, 3.0, 0.5), 1.5, 9.0)
 
 
 def presses(rows: int, seed: int, roundness: float) -> tuple[F32, F32, F64]:
-    """Features, imprints and depths of a ball on a dome: the rounder, the smaller at the same depth."""
+    """Features, imprints and depths of a ball on a dome:
+    the rounder, the smaller at the same depth.
+    """
     random = np.random.default_rng(seed)
     depth_mm = random.uniform(0.5, 3, rows)
     imprints = np.zeros((rows, 4))

@@ -100,7 +100,9 @@ def test_a_quantity_may_be_labelled_in_some_rows_only() -> None:
 
 
 def test_frames_of_one_press_are_held_out_together() -> None:
-    """Each press four times, a little other: by single frames the error would look like the label's repetition."""
+    """Each press four times, a little other: by single frames the error would look like the label's
+    repetition.
+    """
     features, labels = table(40, 9, noise=0.3)
     random = np.random.default_rng(10)
     again = np.repeat(features, 4, axis=0) + random.normal(scale=0.02, size=(160, 300)).astype(

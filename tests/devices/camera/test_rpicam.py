@@ -1,4 +1,6 @@
-"""The source against a stand-in program that speaks rpicam-vid's two streams; nothing here was run on a board."""
+"""The source against a stand-in program that speaks rpicam-vid's two streams;
+nothing here was run on a board.
+"""
 
 from __future__ import annotations
 

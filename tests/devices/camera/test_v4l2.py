@@ -1,4 +1,7 @@
-"""What needs no camera: bad paths, bad arguments, decoding. The rest is in tests/guest, under a real driver."""
+"""What needs no camera: bad paths, bad arguments, decoding.
+
+The rest is in tests/guest, under a real driver.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +136,9 @@ def test_luma_is_passed_on_untouched() -> None:
 def test_a_buffer_of_another_size_is_no_image(
     fourcc: str, bytes_per_px: float, change: int
 ) -> None:
-    """Short after lost USB packets; longer when the driver pads its lines, which would shear the image."""
+    """Short after lost USB packets; longer when the driver pads its lines,
+    which would shear the image.
+    """
     size = int(H * W * bytes_per_px)
     assert decode(np.zeros(size, np.uint8), fourcc, H, W) is not None
     assert decode(np.zeros(size + change, np.uint8), fourcc, H, W) is None

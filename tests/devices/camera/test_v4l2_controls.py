@@ -1,4 +1,7 @@
-"""Locking a camera's automatic controls. The fake is a driver's control table, as OpenCV shows it."""
+"""Locking a camera's automatic controls.
+
+The fake is a driver's control table, as OpenCV shows it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ AUTO, VALUE, BALANCE = cv2.CAP_PROP_AUTO_EXPOSURE, cv2.CAP_PROP_EXPOSURE, cv2.CA
 
 
 class Driver:
-    """Controls with a range; the exposure of a USB camera takes no value while it is automatic (3)."""
+    """Controls with a range; the exposure of a USB camera takes no value while it is automatic
+    (3).
+    """
 
     def __init__(self, values: dict[int, float], frozen: tuple[int, ...] = ()) -> None:
         self.values = values

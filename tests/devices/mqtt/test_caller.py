@@ -81,7 +81,10 @@ def test_a_broker_that_does_not_let_us_in_is_reported(tmp_path: Path) -> None:
         refused = caller(broker.port, "hand", "wrong")
         with pytest.raises(
             DeviceError,
-            match=rf"127\.0\.0\.1:{broker.port}: rejects the connection: Not authorized; expected a broker",
+            match=(
+                rf"127\.0\.0\.1:{broker.port}: rejects the connection: Not authorized; "
+                r"expected a broker"
+            ),
         ) as caught:
             refused.start()
         assert caught.value.code is ReasonCode.REFUSED

@@ -1,4 +1,6 @@
-"""Two under one name at a real mosquitto: the first keeps the broker, the second waits and says for whom."""
+"""Two under one name at a real mosquitto: the first keeps the broker,
+the second waits and says for whom.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""No message of a broker ends a client's thread: daemon, bridges, requests, library and the client's wheel."""
+"""No message of a broker ends a client's thread:
+daemon, bridges, requests, library and the client's wheel.
+"""
 
 from __future__ import annotations
 

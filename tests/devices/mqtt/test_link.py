@@ -1,4 +1,6 @@
-"""The link on a real broker: its frames and requests, what a broker refuses, and addresses that can never work."""
+"""The link on a real broker: its frames and requests, what a broker refuses,
+and addresses that can never work.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def reconstruction(seq: int) -> Reconstruction:
 
 
 def unheard(rig: Rig, topic: str) -> None:
-    """Offer until the broker says that nobody listens, which holds for a second: a slow machine may miss that."""
+    """Offer until the broker says that nobody listens, which holds for a second:
+    a slow machine may miss that.
+    """
 
     def nobody() -> bool:
         rig.link.offer(topic, b"", 0)
@@ -117,8 +121,8 @@ class TestUp:
     def test_killed_process_leaves_offline(self, broker: Broker, subscriber: Subscriber) -> None:
         code = (
             "import sys, threading; from tacshade_edge.devices.mqtt.link import MqttLink\n"
-            "link = MqttLink(host='127.0.0.1', port=int(sys.argv[1]), base_topic=sys.argv[2], client_id='child',"
-            " on_request=print, on_outcome=print)\n"
+            "link = MqttLink(host='127.0.0.1', port=int(sys.argv[1]), base_topic=sys.argv[2], "
+            "client_id='child', on_request=print, on_outcome=print)\n"
             "link.start(); threading.Event().wait()"
         )
         child = subprocess.Popen([sys.executable, "-c", code, str(broker.port), BASE])
@@ -191,8 +195,11 @@ class TestRefused:
             rig.link.stop(2)
         reported = [record for record in caplog.records if record.levelno >= logging.WARNING]
         assert [record.getMessage() for record in reported] == [
-            f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access rules (ACL) that allow "
-            f"this user to publish to {BASE}/#; further rejections are not logged"
+            (
+                f"127.0.0.1:{broker.port}: rejects {BASE}/state: Not authorized, expected access "
+                f"rules (ACL) that allow this user to publish to {BASE}/#; further rejections are "
+                "not logged"
+            )
         ]
 
     def test_something_else_on_the_port(self) -> None:
@@ -261,7 +268,9 @@ def request(verb: str, payload: bytes, asked: str | None = None) -> MQTTMessage:
     ],
 )
 def test_a_reply_goes_below_res_whatever_topic_is_asked_for(asked: str) -> None:
-    """Who may ask may not speak as the hand, nor make it speak elsewhere or on a topic that ends the connection."""
+    """Who may ask may not speak as the hand, nor make it speak elsewhere or on a topic
+    that ends the connection.
+    """
     for payload, topic in ((b"{}", None), (b"garbage", "res/status")):
         read = read_request(BASE, f"{BASE}/req/status", request("status", payload, asked))
         assert (read.response_topic if isinstance(read, Request) else read.topic) == topic

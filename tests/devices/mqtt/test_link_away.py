@@ -97,7 +97,9 @@ class TestStalled:
     def test_a_broker_that_takes_nothing_for_longer_than_two_keepalives(
         self, rig: Rig, broker: Broker, subscriber: Subscriber
     ) -> None:
-        """As many frames as in a minute, and a flapping status: bounded, accounted for, back in 3 s."""
+        """As many frames as in a minute, and a flapping status:
+        bounded, accounted for, back in 3 s.
+        """
         seconds, fps = 22, 164
         offered = offer_for(rig, 0.2)
         subscriber.wait_for(f"{BASE}/height")
@@ -152,7 +154,8 @@ class TestStalled:
         rig = Rig(broker.port).connect()
         subscriber.wait_for(f"{BASE}/state")
         broker.stall()
-        # More than the kernel takes for a broker that does not read: else it may find "stopped" there when it is back.
+        # More than the kernel takes for a broker that does not read:
+        # else it may find "stopped" there when it is back.
         offered = offer_for(rig, 0.1, fps=60, size=32_000_000)
         stopped = threading.Event()
         threading.Thread(target=lambda: (rig.link.stop(1.5), stopped.set())).start()

@@ -1,4 +1,6 @@
-"""What is on its way to a broker, under any order of events; the broker is a list of what paho was given."""
+"""What is on its way to a broker, under any order of events;
+the broker is a list of what paho was given.
+"""
 
 from __future__ import annotations
 

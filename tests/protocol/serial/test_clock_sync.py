@@ -17,7 +17,9 @@ MS = 10**6
 
 
 def synchronised(name: str, seconds: float) -> list[tuple[float, float, bool]]:
-    """Errors and stated errors in ms, and whether 10 s have passed, of a warming clock that sends a SYNC a second."""
+    """Errors and stated errors in ms, and whether 10 s have passed,
+    of a warming clock that sends a SYNC a second.
+    """
     rng, line, sync, rows = random.Random(f"{name} 7"), LINES[name], ClockSync(), []
     clock = Clock(rng.uniform(0, 1e6), rng.uniform(-40, 40))
     t4_ns, at_s, probed_s = None, 0.0, 0.0
@@ -83,7 +85,9 @@ def test_error_of_a_robot_that_only_sends(line: str) -> None:
 
 
 class Rig:
-    """A robot's clock that a test sets, and a line of 1 ms each way with jitter on the way to the daemon."""
+    """A robot's clock that a test sets, and a line of 1 ms each way with jitter on the way
+    to the daemon.
+    """
 
     def __init__(self, slow_ppm: float = 0.0) -> None:
         self.sync = ClockSync()

@@ -1,4 +1,6 @@
-"""What a robot asks, and the texts of answers and events with the words of docs/reference/serial.md."""
+"""What a robot asks, and the texts of answers and events with the words of
+docs/reference/serial.md.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,10 @@ LONGEST = tuple(sorted(QUANTITIES, key=len)[-NAMES_MAX:])
         (ClockRead(5, 9), "5 9"),
         (
             FrameCaptured(812, 9, True, 1.23456, 20.06, 1, 250),
-            "frame=812 t_ns=9 contact=1 depth_mm=1.235 area_mm2=20.1 objects=1 pose=1 pose_error_us=250",
+            (
+                "frame=812 t_ns=9 contact=1 depth_mm=1.235 area_mm2=20.1 objects=1 pose=1 "
+                "pose_error_us=250"
+            ),
         ),
         (
             FrameCaptured(812, 9, False, 0.0, 0, 0, None),
@@ -62,7 +67,10 @@ LONGEST = tuple(sorted(QUANTITIES, key=len)[-NAMES_MAX:])
         ),
         (
             LineStatus("streaming", 30.0, "two-way", 500, 1.25, 100, 1, 2, 3),
-            "camera=streaming fps=30.0 sync=two-way error_us=500 drift_ppm=1.25 poses=100 lost=1 damaged=2 garbage=3",
+            (
+                "camera=streaming fps=30.0 sync=two-way error_us=500 drift_ppm=1.25 poses=100 "
+                "lost=1 damaged=2 garbage=3"
+            ),
         ),
         (TouchSwitched(30), "on=1 rate_hz=30"),
         (TouchSwitched(0), "on=0"),
@@ -171,8 +179,8 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     refused = too_slow(TouchAsked(LONGEST, 60), 9600)
     assert refused is not None
     assert refused.text == (
-        "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s (90 % of 9600 baud); "
-        "use a lower RATE, fewer names or a faster line"
+        "found 10440 bytes/s (60 events/s of up to 174 bytes), expected at most 864 bytes/s (90 % "
+        "of 9600 baud); use a lower RATE, fewer names or a faster line"
     )
     seen = TouchSeen(2**32 - 1, 2**63 - 1, True, tuple((name, -1000.0001) for name in LONGEST))
     longest = cobs_encode(b"L" + seal(f"EVT {seen.text()}")[:-1]) + b"\0"

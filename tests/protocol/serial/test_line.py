@@ -73,7 +73,8 @@ def test_two_wrong_bits_of_a_line_are_noticed(first: int, distance: int) -> None
 
 @pytest.mark.parametrize("vector", VECTORS["poses"], ids=lambda v: str(v["seq"]))
 def test_binary_pose(vector: dict[str, Any]) -> None:
-    sample = PoseSample(vector["seq"], vector["t_ns"], tuple(vector["values"]))  # type: ignore[arg-type]
+    pose = tuple(vector["values"])
+    sample = PoseSample(vector["seq"], vector["t_ns"], pose)  # type: ignore[arg-type]
     assert encode_pose(sample).hex() == vector["hex"]
     assert (cobs_encode(encode_pose(sample)) + b"\0").hex() == vector["frame"]
     assert decode_pose(bytes.fromhex(vector["hex"])) == sample

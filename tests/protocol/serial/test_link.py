@@ -165,7 +165,10 @@ def test_numbers_that_are_too_old_to_be_known_are_refused() -> None:
         f"OK {newest - REPLIES_KEPT + 1} name=done-65"
     ]
     assert desk.send(b"#%d STATUS\n" % (newest - REPLIES_KEPT)) == [
-        f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected HELLO or a number above #{newest}"
+        (
+            f"ERR {newest - REPLIES_KEPT} STALE found an old line number, expected HELLO or a "
+            f"number above #{newest}"
+        )
     ]
     assert len(desk.done) == 2 * REPLIES_KEPT
 
@@ -266,7 +269,10 @@ def test_a_lost_port_ends_a_line_and_nothing_else() -> None:
     desk.send(b"#1 HELLO 1\n#2 CAPTURE\n#3 CAPT")
     desk.link.interrupted()
     assert desk.send(b"URE\n#2 CAPTURE\n") == [
-        "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH STATUS MODE HELP",
+        (
+            "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH "
+            "STATUS MODE HELP"
+        ),
         "OK 2 name=done-1",
     ]
     assert desk.link.counts.garbage_bytes == len("#3 CAPT")
@@ -311,7 +317,9 @@ def mangled(line: bytes, rng: random.Random) -> bytes:
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**32))
 def test_a_session_cut_repeated_reordered_and_damaged_is_done_once(binary: bool, seed: int) -> None:
-    """A robot that repeats each line until its reply has arrived, over a line that loses half of both."""
+    """A robot that repeats each line until its reply has arrived,
+    over a line that loses half of both.
+    """
     rng = random.Random(seed)
     desk = Desk()
     desk.send(seal("#1 HELLO 1 crc=req boot=a") + (seal("#0 MODE BIN") if binary else b""))

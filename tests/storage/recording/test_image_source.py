@@ -44,7 +44,9 @@ def test_a_folder_gives_its_images_in_the_order_of_their_names_then_ends(folder:
 def test_a_table_gives_the_order_and_the_poses(folder: Path) -> None:
     table = folder / "frames.csv"
     table.write_text(
-        "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us\n2.png,5,1,2,3,1,0,0,0,7\n0.png,6,,,,,,,,\n"
+        "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us\n"
+        "2.png,5,1,2,3,1,0,0,0,7\n"
+        "0.png,6,,,,,,,,\n"
     )
     source = FilesSource(path=folder, fps=240, loop=False)
     source.open()

@@ -301,9 +301,21 @@ def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionT
 def test_a_bag_of_ros_2(tmp_path: Path) -> None:
     ros2 = pytest.importorskip("mcap_ros2.writer")
     text = (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
-        f"uint8[] data\n{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-        f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        "std_msgs/Header header\n"
+        "uint32 height\n"
+        "uint32 width\n"
+        "string encoding\n"
+        "uint8 is_bigendian\n"
+        "uint32 step\n"
+        "uint8[] data\n"
+        f"{'=' * 80}\n"
+        "MSG: std_msgs/Header\n"
+        "builtin_interfaces/Time stamp\n"
+        "string frame_id\n"
+        f"{'=' * 80}\n"
+        "MSG: builtin_interfaces/Time\n"
+        "int32 sec\n"
+        "uint32 nanosec\n"
     )
     header = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "finger"}
     image = {

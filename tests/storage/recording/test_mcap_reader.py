@@ -145,7 +145,8 @@ def test_attachments(tmp_path: Path) -> None:
             f"{path}: leaving its b out: its checksum does not match",
         ),
         (flipped(whole, name, 0), 100, f"{path}: leaving its c out: its checksum does not match"),
-        # The length of its data; four less would make its last bytes a checksum of 0, which stands for none.
+        # The length of its data; four less would make its last bytes a checksum of 0,
+        # which stands for none.
         *(
             (flipped(whole, data - 8 + bit // 8, bit % 8), 100, "skipping the damaged")
             for bit in (0, 33, 63)

@@ -138,7 +138,9 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
         Recording(folder / "frames.csv")
     with pytest.raises(
         ConfigError,
-        match=r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps",
+        match=(
+            r"^--fps: found 20, expected no value, because .*frames\.csv contains the time stamps"
+        ),
     ):
         Recording(folder, fps=20)
 

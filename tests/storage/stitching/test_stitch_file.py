@@ -59,7 +59,8 @@ def test_a_torn_press_is_kept_beside_and_the_session_goes_on(tmp_path: Path, los
     same(StitchFile.resume(tmp_path / "one")[1], 3)
 
 
-# In the first press's magic, size, checksum, pose and points; the others are of 108 + 600 * 28 bytes, too.
+# In the first press's magic, size, checksum, pose and points;
+# the others are of 108 + 600 * 28 bytes, too.
 @pytest.mark.parametrize(
     ("press", "place", "bit"),
     [(0, 0, 0), (0, 4, 0), (1, 6, 4), (1, 7, 7), (1, 8, 3), (2, 30, 1), (2, 9000, 6)],
@@ -164,7 +165,10 @@ def test_removing_leaves_what_is_not_ours(tmp_path: Path) -> None:
     assert not (tmp_path / "two").exists()
 
 
-_V1 = '{"name": "x", "begun_wall_ns": 5, "calibration_crc32": 7, "skin_radius_mm": 20.0, "state": "open", "version": 1'
+_V1 = (
+    '{"name": "x", "begun_wall_ns": 5, "calibration_crc32": 7, "skin_radius_mm": 20.0, "state": '
+    '"open", "version": 1'
+)
 
 
 @pytest.mark.parametrize(

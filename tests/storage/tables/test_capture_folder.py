@@ -80,7 +80,8 @@ def test_a_plan_is_a_table_whose_images_do_not_matter(tmp_path: Path) -> None:
     plan.write_text(f"{PLAN_HEADER},{','.join(MORE)}\n,flat,,2.5,1,-3,30,0,0,0,0\n")
     (tilted,) = read_plan(plan, ("flat",), 20.0)
     assert str(tilted) == (
-        "flat, 2.5 mm deep at x 1, y -3 mm, yaw_deg 30, tilt_x_deg 0, tilt_y_deg 0, shear_x_mm 0, shear_y_mm 0"
+        "flat, 2.5 mm deep at x 1, y -3 mm, yaw_deg 30, tilt_x_deg 0, tilt_y_deg 0, shear_x_mm 0, "
+        "shear_y_mm 0"
     )
     folder = CaptureFolder(tmp_path)
     both = [folder.add([], IMAGE, press())]
@@ -142,7 +143,10 @@ def test_a_table_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
         rows = text.replace("\n", "\r\n")
         for encoding in ("utf-8", "utf-8-sig", "utf-16"):
             assert numbers(rows.encode(encoding), tmp_path) == wanted
-    mixed = "who,y_mm,x_mm,shear_x_mm,image,depth_mm,radius_mm,indenter,force_n\nme,-3,1.5,0.7,a.png,2,4.5,ball,9\n"
+    mixed = (
+        "who,y_mm,x_mm,shear_x_mm,image,depth_mm,radius_mm,indenter,force_n\n"
+        "me,-3,1.5,0.7,a.png,2,4.5,ball,9\n"
+    )
     assert numbers(mixed, tmp_path) == wanted
     assert read_presses(tmp_path / "PRESSES.csv")[1] == (
         f"{tmp_path}/PRESSES.csv: ignoring unknown columns: who, force_n",

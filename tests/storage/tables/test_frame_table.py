@@ -122,7 +122,9 @@ def checked_table(rows: int) -> bytes:
 
 
 def test_no_flipped_bit_goes_unnoticed(tmp_path: Path) -> None:
-    """Rows before and after it are the ones that were written; those of the damaged line are left out and counted."""
+    """Rows before and after it are the ones that were written;
+    those of the damaged line are left out and counted.
+    """
     good, path, draw = checked_table(12), tmp_path / "frames.csv", random.Random(2)
     path.write_bytes(good)
     written = list(read_table(path))

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Record a sensor as a LeRobot camera with depth and tactile numbers, open the data set with LeRobot's loader, compare
-every pixel, and run a policy on a frame.
+"""Record a sensor as a LeRobot camera with depth and tactile numbers, and check the data set.
+
+The data set is opened with LeRobot's loader, every pixel is compared, and a policy runs on a frame.
 
 ::
 
     python tools/examples/lerobot/record.py localhost:1883 left-index [--seconds 20] [--root touch]
 
-Run it with a Python that has LeRobot, tacshade-client and lerobot_camera_tacshade; it does not need this package.
+Run it with a Python that has LeRobot, tacshade-client and lerobot_camera_tacshade;
+it does not need this package.
 """
 
 from __future__ import annotations
@@ -63,7 +65,8 @@ def main() -> int:
             **{"info": {"is_depth_map": True}},
         },
         TACTILE: tactile_feature(),
-        # Policies such as ACT take this key only: a robot appends the tactile numbers to its joints.
+        # Policies such as ACT take this key only: a robot appends the tactile numbers
+        # to its joints.
         "observation.state": {
             "dtype": "float32",
             "shape": (len(TACTILE_NAMES) + 1,),
@@ -130,7 +133,9 @@ def compared(name: str, root: Path, seen: list[np.ndarray]) -> dict[str, object]
 
 
 def more(opened: LeRobotDataset, depths: list[np.ndarray]) -> dict[str, object]:
-    """How far loaded depth maps (in mm) are off the recorded ones (in m), a frame's numbers, and a policy's action."""
+    """How far loaded depth maps (in mm) are off the recorded ones (in m), a frame's numbers,
+    and a policy's action.
+    """
     import torch
     from lerobot.configs.types import FeatureType
     from lerobot.policies.act.configuration_act import ACTConfig

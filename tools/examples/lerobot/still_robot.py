@@ -1,5 +1,6 @@
-"""A robot of LeRobot with one joint that stays where it is, and cameras, depth included: `lerobot-record` without a
-robot. `trial.py --lerobot-record` installs it under the name that LeRobot looks for.
+"""A robot of LeRobot with one joint that stays where it is, and cameras, depth included:
+`lerobot-record` without a robot. `trial.py --lerobot-record` installs it under the name that
+LeRobot looks for.
 """
 
 from dataclasses import dataclass, field

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Run `record`, or LeRobot's own `lerobot-record`, with a daemon on the simulated sensor, through mosquitto.
+"""Run `record` or LeRobot's own `lerobot-record` with mosquitto and a simulated sensor's daemon.
 
 ::
 
-    .venv/bin/python -m tools.examples.lerobot.trial --python ENV/bin/python [--seconds 20] [--lerobot-record FOLDER]
+    .venv/bin/python -m tools.examples.lerobot.trial --python ENV/bin/python
+        [--seconds 20] [--lerobot-record FOLDER]
 
-ENV is a separate environment for `lerobot[core-scripts]`, which pins another OpenCV than this project; it also needs
-`pip install ./client ./client_lerobot`.
+ENV is a separate environment for `lerobot[core-scripts]`, which pins another OpenCV than this
+project; it also needs `pip install ./client ./client_lerobot`.
 """
 
 from __future__ import annotations
@@ -77,14 +78,19 @@ def main() -> int:
 
 
 def by_lerobot(python: Path, folder: Path, port: int, root: Path, seconds: float) -> list[str]:
-    """Put `still_robot` into a folder under the name that LeRobot looks for; the command that records with it."""
+    """Put `still_robot` into a folder under the name that LeRobot looks for;
+    the command that records with it.
+    """
     about = folder / "lerobot_robot_still-0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(
         "Metadata-Version: 2.1\nName: lerobot_robot_still\nVersion: 0\n"
     )
     shutil.copy(RECORD.with_name("still_robot.py"), folder / "lerobot_robot_still.py")
-    camera = f'{{touch: {{type: tacshade, broker: "127.0.0.1:{port}", sensor: {SENSOR_ID}, use_depth: true}}}}'
+    camera = (
+        f'{{touch: {{type: tacshade, broker: "127.0.0.1:{port}", sensor: {SENSOR_ID}, use_depth: '
+        "true}}"
+    )
     words: dict[str, object] = {
         "robot.type": "still",
         "robot.cameras": camera,

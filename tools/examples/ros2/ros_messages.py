@@ -1,6 +1,8 @@
-"""Convert a sensor's messages to ROS 2: lengths in metres (REP 103), frames named after the sensor, Unix time stamps.
+"""Convert a sensor's messages to ROS 2: lengths in metres (REP 103), frames named after the sensor,
+Unix time stamps.
 
-The module imports no ROS: the caller supplies the message types, so it can make messages without ROS.
+The module imports no ROS: the caller supplies the message types,
+so it can make messages without ROS.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ POINT = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])
 
 
 class Ros(Protocol):
-    """The message types of a ROS installation; `octets` converts bytes to the value of a ``uint8[]`` field."""
+    """The message types of a ROS installation; `octets` converts bytes to the value
+    of a ``uint8[]`` field.
+    """
 
     @property
     def octets(self) -> Callable[[bytes], Any]:
@@ -32,7 +36,9 @@ class Ros(Protocol):
 
 
 def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
-    """Make a ``sensor_msgs/Image``, 32FC1: h of each cell in m, positive inwards; NaN outside the disc."""
+    """Make a ``sensor_msgs/Image``, 32FC1: h of each cell in m, positive inwards;
+    NaN outside the disc.
+    """
     rows, cols = message.height_mm.shape
     return ros.make(
         "sensor_msgs/msg/Image",
@@ -47,7 +53,9 @@ def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
 
 
 def cloud(ros: Ros, message: CloudMessage, sensor_id: str) -> Any:
-    """Make a ``sensor_msgs/PointCloud2``: x, y, z in m, and the number of each point's object, from 1."""
+    """Make a ``sensor_msgs/PointCloud2``: x, y, z in m, and the number of each point's object,
+    from 1.
+    """
     points = np.empty(len(message.labels), POINT)
     points["xyz"], points["object"] = message.points_mm * np.float32(M_PER_MM), message.labels
     layout = (("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("object", 12, UINT16))
@@ -71,7 +79,9 @@ def cloud(ros: Ros, message: CloudMessage, sensor_id: str) -> Any:
 
 
 def transform(ros: Ros, values: tuple[float, ...], wall_ns: int, parent: str, child: str) -> Any:
-    """Make a ``tf2_msgs/TFMessage`` with one transform, given as x, y, z in mm and quaternion w, x, y, z."""
+    """Make a ``tf2_msgs/TFMessage`` with one transform, given as x, y, z in mm and quaternion w, x,
+    y, z.
+    """
     x, y, z, qw, qx, qy, qz = values
     return ros.make(
         "tf2_msgs/msg/TFMessage",
@@ -91,7 +101,9 @@ def transform(ros: Ros, values: tuple[float, ...], wall_ns: int, parent: str, ch
 
 
 def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
-    """Make a ``geometry_msgs/WrenchStamped``: force in N, torque in N·m, 0 in unlabelled axes; None if unknown."""
+    """Make a ``geometry_msgs/WrenchStamped``: force in N, torque in N·m, 0 in unlabelled axes;
+    None if unknown.
+    """
     if (values := _known(touch, (*FORCE, *TORQUE), needed=())) is None:
         return None
     force, torque = values[:3], [value * M_PER_MM for value in values[3:]]
@@ -105,10 +117,12 @@ def wrench(ros: Ros, touch: TouchNumbers, sensor_id: str) -> Any | None:
 
 
 def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str) -> Any | None:
-    """Make a ``geometry_msgs/PoseStamped`` of the touched surface from depth, tilt and twist; None if unknown.
+    """Make a ``geometry_msgs/PoseStamped`` of the touched surface from depth, tilt and twist;
+    None if unknown.
 
-    The surface lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z, then tilted about x,
-    then y. Twist, x and y are 0 if the labels lack them. The radius of a pad is infinite.
+    The surface lies `depth_mm` below the undeformed skin at (x, y), turned by the twist about z,
+    then tilted about x, then y. Twist, x and y are 0 if the labels lack them. The radius of a pad
+    is infinite.
     """
     names = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "twist_deg", "x_mm", "y_mm")
     if (values := _known(touch, names, needed=names[:3])) is None:
@@ -132,7 +146,9 @@ def surface(ros: Ros, touch: TouchNumbers, skin_radius_mm: float, sensor_id: str
 
 
 def _known(touch: TouchNumbers, names: Sequence[str], needed: Sequence[str]) -> list[float] | None:
-    """Read numbers of a touch, 0 for unlabelled ones; None if one is unknown or a needed one was not labelled."""
+    """Read numbers of a touch, 0 for unlabelled ones;
+    None if one is unknown or a needed one was not labelled.
+    """
     given = touch.touch or {}
     values = [given.get(name, 0.0) for name in names]
     known = [value for value in values if value is not None]

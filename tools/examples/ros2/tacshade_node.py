@@ -1,4 +1,5 @@
-"""An example node that publishes a sensor on an MQTT broker as ROS 2 topics; the node itself never ran.
+"""An example node that publishes a sensor on an MQTT broker as ROS 2 topics;
+the node itself never ran.
 
 source /opt/ros/jazzy/setup.bash
 python3 -m tools.examples.ros2.tacshade_node localhost:1883 left-index

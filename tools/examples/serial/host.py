@@ -1,4 +1,6 @@
-"""A host's end of the serial line (docs/reference/serial.md): send poses and commands, synchronise the clocks."""
+"""A host's end of the serial line (docs/reference/serial.md):
+send poses and commands, synchronise the clocks.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from typing import Protocol
 
 
 class Port(Protocol):
-    """The methods of pyserial's ``serial.Serial(device, 115200, timeout=0.1)`` that `Daemon` uses."""
+    """The methods of pyserial's ``serial.Serial(device, 115200,
+    timeout=0.1)`` that `Daemon` uses.
+    """
 
     def write(self, data: bytes, /) -> object: ...
 
@@ -22,7 +26,9 @@ def seal(text: str) -> bytes:
 
 
 class Daemon:
-    """The daemon at the other end; `boot` has 1 to 16 letters and digits and changes whenever the robot starts."""
+    """The daemon at the other end; `boot` has 1 to 16 letters and digits
+    and changes whenever the robot starts.
+    """
 
     def __init__(self, port: Port, boot: str) -> None:
         self.port = port
@@ -31,7 +37,10 @@ class Daemon:
         self.command(f"HELLO 1 crc=req boot={boot}")
 
     def command(self, text: str, seconds: float = 10.0) -> list[str]:
-        """Return the words of the answer after OK and its number. The line may be resent, but it is executed once."""
+        """Return the words of the answer after OK and its number.
+
+        The line may be resent, but it is executed once.
+        """
         self.seq = (self.seq + 1) % 65536
         give_up = time.monotonic() + seconds
         while time.monotonic() < give_up:
@@ -57,7 +66,9 @@ class Daemon:
     def pose(
         self, t_ns: int, x: float, y: float, z: float, qw: float, qx: float, qy: float, qz: float
     ) -> None:
-        """Send the flange's pose in the base frame at `t_ns` of `time.monotonic_ns`: mm, unit quaternion."""
+        """Send the flange's pose in the base frame at `t_ns` of `time.monotonic_ns`:
+        mm, unit quaternion.
+        """
         self.port.write(
             seal(f"POSE {t_ns} {x:.3f} {y:.3f} {z:.3f} {qw:.6f} {qx:.6f} {qy:.6f} {qz:.6f}")
         )

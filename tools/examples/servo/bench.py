@@ -1,12 +1,14 @@
-"""Run both loops in real time at several speeds and added latencies, and compare them with the truth.
+"""Run both loops in real time at several speeds and added delays; compare them with the truth.
 
 ::
 
-    .venv/bin/python -m tools.examples.servo.bench [--scene surface edge] [--speeds 5 10 20] [--delays 0 20 50 100]
+    .venv/bin/python -m tools.examples.servo.bench [--scene surface edge] [--speeds 5 10 20]
+        [--delays 0 20 50 100]
 
-Each run starts mosquitto, a daemon on 60 frames a second from the simulated sensor (`tools.testbed.servo`), and a loop
-as a user starts it. The robot obeys after 20 ms plus the added latency, and its velocity follows with a time constant
-of 30 ms. Before that, ``calibrate --labels`` learns the touch model from frames of a robot that presses a flat box.
+Each run starts mosquitto, a daemon on 60 frames a second from the simulated sensor
+(`tools.testbed.servo`), and a loop as a user starts it. The robot obeys after 20 ms plus the added
+latency, and its velocity follows with a time constant of 30 ms. Before that, ``calibrate --labels``
+learns the touch model from frames of a robot that presses a flat box.
 """
 
 from __future__ import annotations
@@ -59,18 +61,20 @@ _SETTINGS = """\
 sensor_id: servo
 profile: balanced
 calibration: {calibration}
-source: {{kind: rpicam, width_px: {model.image_width_px}, height_px: {model.image_height_px}, fps: 60}}
+source: {{kind: rpicam, width_px: {model.image_width_px}, height_px: {model.image_height_px}, \
+fps: 60}}
 mqtt: {{host: 127.0.0.1, port: {port}}}
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: root mean square and greatest error of each quantity after `SETTLING_S`, and how the loop ran.
+    """One run: root mean square and greatest error of each quantity after `SETTLING_S`,
+    and how the loop ran.
 
-    `labelled` distinguishes a model learnt from labels from height map and shear. `touches_s` and `age_ms` are the
-    touches per second that the loop used, and their age then; `lost` is the share of frames that the simulated camera
-    was too slow to draw.
+    `labelled` distinguishes a model learnt from labels from height map and shear. `touches_s` and
+    `age_ms` are the touches per second that the loop used, and their age then; `lost` is the share
+    of frames that the simulated camera was too slow to draw.
     """
 
     scene: str
@@ -125,7 +129,9 @@ def calibrate(folder: Path, name: str, place: Scene, *, labelled: bool) -> Path:
 def sensor(
     folder: Path, calibration: Path, name: str, delay_s: float, log: Path
 ) -> Iterator[tuple[int, int]]:
-    """Run a broker and a daemon whose camera moves with the robot; yield the ports of broker and robot."""
+    """Run a broker and a daemon whose camera moves with the robot;
+    yield the ports of broker and robot.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         robot = int(probe.getsockname()[1])
@@ -221,7 +227,9 @@ def once(
 
 
 def draw(runs: list[Run]) -> bytes:
-    """Draw a PNG: a row per scene, each quantity's error against added latency, a line per speed."""
+    """Draw a PNG: a row per scene, each quantity's error against added latency,
+    a line per speed.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

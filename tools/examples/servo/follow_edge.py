@@ -3,11 +3,12 @@
 
 ::
 
-    .venv/bin/python -m tools.examples.servo.follow_edge localhost:1883 left-index --robot 192.168.1.5:30000
+    .venv/bin/python -m tools.examples.servo.follow_edge localhost:1883 left-index
+        --robot 192.168.1.5:30000
 
-The program needs labels of edges: `y_mm`, where the edge crosses the sensor's y axis, and `edge_deg`, the edge's
-direction from x towards y. Begin with the tip on the edge, at right angles to the plate, with the edge within 25° of
-the sensor's x. Read README.md before a real robot moves.
+The program needs labels of edges: `y_mm`, where the edge crosses the sensor's y axis, and
+`edge_deg`, the edge's direction from x towards y. Begin with the tip on the edge, at right angles
+to the plate, with the edge within 25° of the sensor's x. Read README.md before a real robot moves.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
 
 
 class FollowEdge:
-    """Computes the robot's velocity from a touch: it keeps a depth, at a speed along the sensor's x."""
+    """Computes the robot's velocity from a touch: it keeps a depth,
+    at a speed along the sensor's x.
+    """
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
         self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
@@ -34,7 +37,9 @@ class FollowEdge:
         )
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Move along the edge, towards the edge along y and the depth along z, and turn with the edge."""
+        """Move along the edge, towards the edge along y and the depth along z,
+        and turn with the edge.
+        """
         along = self._speed_mm_s * math.tan(math.radians(touch["edge_deg"]))
         down = self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
         across = along + self._across.velocity(touch["y_mm"], dt_s)

@@ -3,9 +3,11 @@
 
 ::
 
-    .venv/bin/python -m tools.examples.servo.follow_surface localhost:1883 left-index --robot 192.168.1.5:30000
+    .venv/bin/python -m tools.examples.servo.follow_surface localhost:1883 left-index
+        --robot 192.168.1.5:30000
 
-Begin with the sensor on the surface; the sensor moves along its own x. Read README.md before a real robot moves.
+Begin with the sensor on the surface; the sensor moves along its own x.
+Read README.md before a real robot moves.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ LIMIT_MM_S, LIMIT_DEG_S = 20.0, 30.0
 
 
 class FollowSurface:
-    """Computes the robot's velocity from a touch: it keeps a depth, at a speed along the sensor's x."""
+    """Computes the robot's velocity from a touch: it keeps a depth,
+    at a speed along the sensor's x.
+    """
 
     def __init__(self, depth_mm: float, speed_mm_s: float) -> None:
         self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
@@ -32,7 +36,9 @@ class FollowSurface:
         )
 
     def velocity(self, touch: Mapping[str, float], dt_s: float) -> Velocity:
-        """Move along the surface and towards the depth along z, and turn with the surface's tilt."""
+        """Move along the surface and towards the depth along z,
+        and turn with the surface's tilt.
+        """
         along = -self._speed_mm_s * math.tan(math.radians(touch["tilt_y_deg"]))
         down = along + self._down.velocity(self._depth_mm - touch["depth_mm"], dt_s)
         about_x = self._about_x.velocity(touch["tilt_x_deg"], dt_s)

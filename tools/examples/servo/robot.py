@@ -1,7 +1,7 @@
 """The interface to a robot that takes velocities: put your robot here.
 
-This one sends ``vx vy vz wx wy wz`` by UDP, in mm/s and °/s of the sensor's tip, along and about the sensor's axes. The
-robot's tool frame must be the sensor frame, moved along z to the tip.
+This one sends ``vx vy vz wx wy wz`` by UDP, in mm/s and °/s of the sensor's tip, along and about
+the sensor's axes. The robot's tool frame must be the sensor frame, moved along z to the tip.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ STANDSTILL = (0.0,) * 6
 
 
 class Robot:
-    """At ``HOST:PORT``; moves as long as `move` is called, and stops `STOP_S` after the last call or at the end."""
+    """At ``HOST:PORT``; moves as long as `move` is called,
+    and stops `STOP_S` after the last call or at the end.
+    """
 
     def __init__(self, address: str) -> None:
         host, _, port = address.rpartition(":")

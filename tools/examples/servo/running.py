@@ -1,4 +1,6 @@
-"""The part that both loops share: read results and send velocities until Ctrl-C, a set time, or a lost sensor."""
+"""The part that both loops share: read results and send velocities until Ctrl-C, a set time,
+or a lost sensor.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def run(
     names: Sequence[str],
     velocity: Callable[[Mapping[str, float], float], Velocity],
 ) -> int:
-    """Call `velocity` with each touch and the seconds since the last one, and send the result to the robot."""
+    """Call `velocity` with each touch and the seconds since the last one,
+    and send the result to the robot.
+    """
     ages_ms: list[float] = []
     first_ns = last_ns = 0
     try:
@@ -59,13 +63,16 @@ def run(
     if len(ages_ms) > 1:
         rate = (len(ages_ms) - 1) / ((last_ns - first_ns) / 1e9)
         print(
-            f"{len(ages_ms)} touches, {rate:.1f} a second, {statistics.median(ages_ms):.1f} ms old in the median"
+            f"{len(ages_ms)} touches, {rate:.1f} a second, {statistics.median(ages_ms):.1f} ms "
+            "old in the median"
         )
     return 0
 
 
 def numbers(r: ts.Result, names: Sequence[str]) -> Mapping[str, float] | None:
-    """Read these numbers of a frame's touch; None if one of them is unknown, for example without contact."""
+    """Read these numbers of a frame's touch; None if one of them is unknown,
+    for example without contact.
+    """
     touch = r.touch or {}
     found = {name: value for name in names if (value := touch.get(name)) is not None}
     return found if len(found) == len(names) else None
@@ -73,7 +80,9 @@ def numbers(r: ts.Result, names: Sequence[str]) -> Mapping[str, float] | None:
 
 PROPORTIONAL_PER_S = 4.0
 INTEGRAL_PER_S2 = 4.0
-"""Without delay, both poles are at -2/s: an error decays within about a second, even if it would grow steadily."""
+"""Without delay, both poles are at -2/s: an error decays within about a second,
+even if it would grow steadily.
+"""
 
 
 @dataclass(slots=True)
@@ -87,7 +96,9 @@ class Loop:
     held: float = 0.0
 
     def velocity(self, error: float, dt_s: float) -> float:
-        """Compute the velocity that reduces an error to 0; `dt_s` is the time since the last call."""
+        """Compute the velocity that reduces an error to 0;
+        `dt_s` is the time since the last call.
+        """
         held = self.held + INTEGRAL_PER_S2 * error * dt_s
         wanted = PROPORTIONAL_PER_S * error + held
         if abs(wanted) <= self.limit:

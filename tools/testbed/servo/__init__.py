@@ -1,1 +1,3 @@
-"""A simulated robot that presses the simulated sensor on a surface or an edge; a fake ``rpicam-vid`` shows its view."""
+"""A simulated robot that presses the simulated sensor on a surface or an edge; a fake
+``rpicam-vid`` shows its view.
+"""

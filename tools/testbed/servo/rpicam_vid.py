@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
-"""A fake ``rpicam-vid`` that acts as a robot and shows what the simulated sensor sees at the robot's pose.
+"""A fake ``rpicam-vid`` that acts as a robot and shows what the simulated sensor sees at the
+robot's pose.
 
-Put a script named ``rpicam-vid`` that starts this program on the daemon's PATH. `SERVO` in the environment is a JSON
-object with the settings: `scene` (surface, edge), the robot's `delay_s`, `port` (UDP, on loopback) for commands
-``vx vy vz wx wy wz``, `kept` (the folder of tables), and `log`, a CSV file for the true touch of each frame.
+Put a script named ``rpicam-vid`` that starts this program on the daemon's PATH. `SERVO` in the
+environment is a JSON object with the settings: `scene` (surface, edge), the robot's `delay_s`,
+`port` (UDP, on loopback) for commands ``vx vy vz wx wy wz``, `kept` (the folder of tables), and
+`log`, a CSV file for the true touch of each frame.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The simulated sensor's skin under a plane or under a plate's edge, interpolated: a frame takes 7 ms instead of 30.
+"""The simulated sensor's skin under a plane or under a plate's edge, interpolated:
+a frame takes 7 ms instead of 30.
 
-The skin under a plane is symmetric about the plane's normal, so one press per depth serves every tilt. The skin under
-an edge is turned about the sensor's axis. Plane and edge slide on the skin without drag.
+The skin under a plane is symmetric about the plane's normal, so one press per depth serves every
+tilt. The skin under an edge is turned about the sensor's axis. Plane and edge slide on the skin
+without drag.
 """
 
 from __future__ import annotations
@@ -46,13 +48,17 @@ class PlaneSkins:
         self._cosines = directions[middle, middle:, 2][::-1].astype(
             np.float64
         )  # ascending, for np.interp
-        self._profiles = np.stack([
-            _pressed(Press(OBJECTS["plate"](), depth_mm=float(depth)))[middle, middle:][::-1]
-            for depth in PLANE_DEPTHS_MM
-        ])  # fmt: skip
+        self._profiles = np.stack(
+            [
+                _pressed(Press(OBJECTS["plate"](), depth_mm=float(depth)))[middle, middle:][::-1]
+                for depth in PLANE_DEPTHS_MM
+            ]
+        )
 
     def skin(self, depth_mm: float, normal: F64) -> Skin:
-        """Make the skin that a plane, whose unit normal (3,) points away from O, presses by `depth_mm`."""
+        """Make the skin that a plane, whose unit normal (3,) points away from O,
+        presses by `depth_mm`.
+        """
         step = float(PLANE_DEPTHS_MM[1])
         at = min(max(depth_mm, 0.0), DEEPEST_MM) / step
         low = min(int(at), len(PLANE_DEPTHS_MM) - 2)
@@ -62,7 +68,9 @@ class PlaneSkins:
 
 
 class EdgeSkins:
-    """Skins under a plate's straight edge at right angles to the sensor's axis; a file keeps their table (10 s)."""
+    """Skins under a plate's straight edge at right angles to the sensor's axis;
+    a file keeps their table (10 s).
+    """
 
     def __init__(self, kept: Path) -> None:
         if not kept.exists():
@@ -91,9 +99,11 @@ class EdgeSkins:
 
 
 def edge_press(depth_mm: float, offset_mm: float, edge_deg: float) -> Press:
-    """Press a half plate at z = r - `depth_mm`, which lies in the direction `edge_deg` + 90° from its edge.
+    """Press a half plate at z = r - `depth_mm`, which lies in the direction `edge_deg` + 90°
+    from its edge.
 
-    The edge runs in the direction `edge_deg`, from x towards y, at `offset_mm` from the axis towards the plate.
+    The edge runs in the direction `edge_deg`, from x towards y,
+    at `offset_mm` from the axis towards the plate.
     """
     angle, r = math.radians(edge_deg), MODEL.skin_radius_mm
     x_mm, y_mm = -offset_mm * math.sin(angle), offset_mm * math.cos(angle)
@@ -116,7 +126,9 @@ def _pressed(press: Press) -> F32:
 
 
 def _between(value: float, nodes: F64) -> tuple[int, float]:
-    """Find the node at or below a value (clipped to the nodes), and the value's part of the way to the next, 0 to 1."""
+    """Find the node at or below a value (clipped to the nodes),
+    and the value's part of the way to the next, 0 to 1.
+    """
     at = (min(max(value, float(nodes[0])), float(nodes[-1])) - float(nodes[0])) / float(
         nodes[1] - nodes[0]
     )

@@ -41,7 +41,9 @@ class Scene(Protocol):
 
 
 class Surface:
-    """A surface with waves 4 mm high and 80 mm long, up to 9° steep along x and 6° across, drawn as a tangent plane."""
+    """A surface with waves 4 mm high and 80 mm long, up to 9° steep along x and 6° across,
+    drawn as a tangent plane.
+    """
 
     start = shift(0, 0, MODEL.skin_radius_mm - 1.0) @ _DOWN
 
@@ -76,7 +78,9 @@ class Surface:
 
 
 class Edge:
-    """A flat plate at right angles to the sensor; its edge has waves 4 mm high and 80 mm long but is drawn straight."""
+    """A flat plate at right angles to the sensor; its edge has waves 4 mm high
+    and 80 mm long but is drawn straight.
+    """
 
     start = shift(0, 0, MODEL.skin_radius_mm - 1.0) @ _DOWN
 
@@ -84,7 +88,9 @@ class Edge:
         self._skins = skins
 
     def touch(self, pose: Rigid) -> dict[str, float]:
-        """Compute the tip's depth below the plate's top, the edge's place on the sensor's y axis, and its direction."""
+        """Compute the tip's depth below the plate's top, the edge's place on the sensor's y axis,
+        and its direction.
+        """
         x0, y0, z0 = pose.translation_mm.tolist()
         x = x0
         for _ in range(12):
@@ -113,7 +119,8 @@ def scene(name: str, kept: Path) -> Scene:
 
 
 class LateRobot:
-    """Obeys commands `delay_s` after they arrive, with a velocity that follows with the time constant `LAG_S`.
+    """Obeys commands `delay_s` after they arrive, with a velocity that follows
+    with the time constant `LAG_S`.
 
     `pose` is ``base_T_sensor`` at `now_s`.
     """
@@ -125,7 +132,9 @@ class LateRobot:
         self._asked = self._velocity = np.zeros(6)
 
     def hear(self, at_s: float, velocity: F64) -> None:
-        """Take a command: the tip's velocity (6,) in mm/s and °/s, along and about the sensor's axes."""
+        """Take a command: the tip's velocity (6,) in mm/s and °/s,
+        along and about the sensor's axes.
+        """
         self._waiting.append((at_s + self._delay_s, velocity))
 
     def go_on(self, until_s: float) -> None:

@@ -1,4 +1,6 @@
-"""What studies and tests do to pictures beside `simulator.camera_faults`, which a sensor in training meets."""
+"""What studies and tests do to pictures beside `simulator.camera_faults`,
+which a sensor in training meets.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from tacshade_edge.types import U8
 
 
 def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
-    """Warm up camera and LEDs, fully at `part` 1: 8 % less light, black 6 levels higher, an image 0.3 % larger."""
+    """Warm up camera and LEDs, fully at `part` 1: 8 % less light, black 6 levels higher,
+    an image 0.3 % larger.
+    """
     zoom = 1 + 0.003 * part
     to_cold = np.array(
         ((1 / zoom, 0, col_c * (1 - 1 / zoom)), (0, 1 / zoom, row_c * (1 - 1 / zoom)))
@@ -23,7 +27,9 @@ def warm(image: U8, row_c: float, col_c: float, part: float) -> U8:
 
 
 def torn(image: U8, other: U8, row: int, shift_px: int = 0) -> U8:
-    """Show `other` from `row` on, shifted sideways by `shift_px`, like two frames in one or a lost line sync."""
+    """Show `other` from `row` on, shifted sideways by `shift_px`,
+    like two frames in one or a lost line sync.
+    """
     result = image.copy()
     result[row:] = np.roll(other[row:], shift_px, axis=1)
     return result

@@ -1,4 +1,5 @@
-"""More families of simulated sensors, never trained on; importing this module registers their names for studies.
+"""More families of simulated sensors, never trained on;
+importing this module registers their names for studies.
 
 The other model has a square lattice, mushroom pins, another skin and other mechanics of drag.
 """
@@ -25,7 +26,9 @@ from tacshade_edge.types import F32, U8
 
 
 def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> Print:
-    """Place pins on a lattice with any angle and ratio of sides, and a marker in the middle of each cell."""
+    """Place pins on a lattice with any angle and ratio of sides,
+    and a marker in the middle of each cell.
+    """
     n = 2 * math.ceil(reach_mm(model) / model.pitch_mm) + 2
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     a, b = math.radians(model.lattice_rotation_deg), math.radians(angle_deg)
@@ -38,7 +41,9 @@ def lattice_print(model: SensorModel, angle_deg: float, ratio: float = 1.0) -> P
 
 
 class OtherSensor:
-    """A `SimulatedSensor` of the other model, or of the usual model with the other's lattice, pins or skin."""
+    """A `SimulatedSensor` of the other model, or of the usual model with the other's lattice,
+    pins or skin.
+    """
 
     def __init__(
         self, model: SensorModel, square: bool = True, capped: bool = True, two_scales: bool = True
@@ -115,7 +120,9 @@ def _renderer(model: SensorModel) -> Renderer:
 
 
 FINAL_SEED = 9000
-"""Sensors from this seed on are for final figures; nobody evaluates them while working on the measured code."""
+"""Sensors from this seed on are for final figures;
+nobody evaluates them while working on the measured code.
+"""
 
 
 def _usual(seed: int | None) -> SensorModel:

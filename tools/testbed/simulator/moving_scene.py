@@ -2,17 +2,19 @@
 
 Every result depends only on the time in seconds, so times may come in any order.
 
-The skin creeps and recovers as a standard linear solid: a spring in series with a parallel spring and dashpot (Zener,
-Elasticity and Anelasticity of Metals, 1948; Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Viscoelastic
-Materials, 1976, ch. 5). With u the immediate deformation under a load, the second spring's e follows τ e' = c u - e, so
+The skin creeps and recovers as a standard linear solid: a spring in series with a parallel spring
+and dashpot (Zener, Elasticity and Anelasticity of Metals, 1948; Findley, Lai and Onaran, Creep and
+Relaxation of Nonlinear Viscoelastic Materials, 1976, ch. 5). With u the immediate deformation under
+a load, the second spring's e follows τ e' = c u - e, so
 
     e(t) = c/τ ∫ u(s) exp(-(t - s)/τ) ds.
 
-Under a constant load, u grows to u (1 + c (1 - exp(-t/τ))). After the load is gone, e remains and decays by
-exp(-t/τ), from at most c / (1 + c) of the depth. Membrane and foundation of the skin are assumed to be the same solid.
-Then e is a shape without forces, and contact with the skin is elastic contact with a skin of this shape: the
-correspondence of Lee and Radok (J. Appl. Mech. 27, 1960), here for any history. Along the skin, u is an object's drag,
-of which the motion is given instead of the load; this causes a relative difference of c².
+Under a constant load, u grows to u (1 + c (1 - exp(-t/τ))). After the load is gone, e remains and
+decays by exp(-t/τ), from at most c / (1 + c) of the depth. Membrane and foundation of the skin are
+assumed to be the same solid. Then e is a shape without forces, and contact with the skin is elastic
+contact with a skin of this shape: the correspondence of Lee and Radok (J. Appl. Mech. 27, 1960),
+here for any history. Along the skin, u is an object's drag, of which the motion is given instead of
+the load; this causes a relative difference of c².
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ _INVERSE_STEPS = 24
 
 
 STICKS = 0.9
-"""Least part of a contact that moves with the object if it sticks: the outermost ring of any contact slides."""
+"""Least part of a contact that moves with the object if it sticks:
+the outermost ring of any contact slides.
+"""
 SLIDES = 0.02
 """Greatest part of a contact that moves with the object if it slides as a whole."""
 
@@ -49,10 +53,11 @@ def slip_of(stuck: float) -> Slip:
 
 
 def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float) -> F64:
-    """Compute the weights (K,) of a history's knots: e(t) is the weighted sum of u at the knots; `creep_part` is c.
+    """Compute the weights (K,) of a history's knots: e(t) is the weighted sum of u at the knots;
+    `creep_part` is c.
 
-    u is linear between two knots, and 0 before the first and after the last. Weights are at least 0, and their sum is
-    at most `creep_part`.
+    u is linear between two knots, and 0 before the first and after the last. Weights are at least
+    0, and their sum is at most `creep_part`.
     """
     times, weights = np.asarray(times_s, np.float64), np.zeros(len(times_s))
     begin = times[:-1][times[:-1] < t_s]
@@ -71,7 +76,8 @@ def kept(times_s: Sequence[float], t_s: float, creep_part: float, creep_s: float
 class Imprint:
     """The skin's immediate deformation under a load, which the material remembers.
 
-    `pressed_mm` (2n+1, 2n+1) is the h that objects cause, at the places where the material was without drag.
+    `pressed_mm` (2n+1, 2n+1) is the h that objects cause,
+    at the places where the material was without drag.
     """
 
     skin: Skin
@@ -134,9 +140,11 @@ _NUMBERS = tuple(field.name for field in fields(Press) if field.name != "shape")
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The knots of an object's path, which is linear between two knots; before and after, the object is absent.
+    """The knots of an object's path, which is linear between two knots;
+    before and after, the object is absent.
 
-    Presses are of one shape; `depth_mm` is the immediate depth under the load: into a creeping skin, it sinks further.
+    Presses are of one shape; `depth_mm` is the immediate depth under the load:
+    into a creeping skin, it sinks further.
     """
 
     times_s: tuple[float, ...]
@@ -146,7 +154,8 @@ class Motion:
         """Refuse times that do not increase, and an object whose shape changes."""
         if len(self.times_s) != len(self.presses) or len(self.times_s) < 2:
             raise ValueError(
-                f"{len(self.times_s)} times for {len(self.presses)} presses, expected two or more of each"
+                f"{len(self.times_s)} times for {len(self.presses)} presses, "
+                "expected two or more of each"
             )
         if not all(np.diff(self.times_s) > 0) or not math.isfinite(
             self.times_s[-1] - self.times_s[0]
@@ -192,7 +201,9 @@ class Motion:
         return replace(one, **between) if between else one
 
     def steps_s(self, step_mm: float) -> tuple[float, ...]:
-        """List the knots' times, and times in between so that the object moves by at most a step between two times."""
+        """List the knots' times, and times in between so that the object moves
+        by at most a step between two times.
+        """
         times = [self.times_s[0]]
         for k, (one, other) in enumerate(zip(self.presses[:-1], self.presses[1:], strict=True)):
             along = math.hypot(
@@ -227,8 +238,9 @@ _SPEED_SPAN_S = 0.02
 class ObjectState:
     """The state of an object at one time; `press` is None while it is absent.
 
-    `stuck` is the part of its contact in which the skin moves with it (1 without a contact); `slip` is full if the
-    whole contact slides, or slid and then came to rest; `slip_mm_s` is relative to the skin, averaged over the contact.
+    `stuck` is the part of its contact in which the skin moves with it (1 without a contact); `slip`
+    is full if the whole contact slides, or slid and then came to rest; `slip_mm_s` is relative to
+    the skin, averaged over the contact.
     """
 
     press: Press | None
@@ -242,8 +254,8 @@ class ObjectState:
 class _Moment:
     """Everything that determines the skin's shape; equal moments have equal skins.
 
-    `loads` and `presses` are the present objects at their depths without and with creep, of the motions `owners`;
-    `memory` are earlier loads, and the part of each that remains.
+    `loads` and `presses` are the present objects at their depths without and with creep, of the
+    motions `owners`; `memory` are earlier loads, and the part of each that remains.
     """
 
     loads: tuple[Press, ...]
@@ -274,7 +286,10 @@ class MovingScene:
         return self._skin(self._moment(t_s))
 
     def frame(self, t_s: float, noise_seed: int = 0) -> SimulatedFrame:
-        """Take a picture. Raises ValueError: a press is not over the skin, or reaches the sensor's middle."""
+        """Take a picture.
+
+        Raises ValueError: a press is not over the skin, or reaches the sensor's middle.
+        """
         moment = self._moment(t_s)
         return SimulatedFrame(
             self._renderer.expose(self._drawn(moment), noise_seed),

@@ -1,4 +1,6 @@
-"""Check one press: can `calibrate` use its image, what does a network see in it, and does that differ from its row?"""
+"""Check one press: can `calibrate` use its image, what does a network see in it,
+and does that differ from its row?
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,9 @@ from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
 # Radii to try, as multiples of the stated one, which is in the middle; and the floor for a misfit.
 _LEAST_MISFIT = 1e-3
 _TRIED = np.exp(np.linspace(math.log(0.25), math.log(4.0), 49))
-# Ratios of shown to stated radii are within these on ten simulated sensors of two kinds, if stated right. A larger look
-# counts only if the stated radius fits this many times worse; shallower presses (mm, nominal skin) do not show it.
+# Ratios of shown to stated radii are within these on ten simulated sensors of two kinds, if stated
+# right. A larger look counts only if the stated radius fits this many times worse; shallower
+# presses (mm, nominal skin) do not show it.
 _LOOKS, _LOOKS_RATIO, _LOOKS_DEPTH_MM = (0.7, 1.7), 3.0, 0.8
 
 
@@ -38,7 +41,9 @@ def _contact(inverse: Inverse) -> Bool:
 
 
 def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> tuple[float, float]:
-    """The stated place, shifted by the difference between the centroids of the heights and the indenter's surface."""
+    """The stated place, shifted by the difference between the centroids of the heights
+    and the indenter's surface.
+    """
     placed = press.placed(geometry.skin_radius_mm)
     x_mm, y_mm = _middle(
         np.where(_contact(inverse), inverse.height_mm, np.float32(0)), geometry
@@ -66,7 +71,9 @@ def _middle(height_mm: F32, geometry: Geometry) -> F64:
 
 
 def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress) -> list[float]:
-    """For each radius tried, the part of the squared heights in the contact that its surface does not explain."""
+    """For each radius tried, the part of the squared heights in the contact
+    that its surface does not explain.
+    """
     rays = disc_rays(disc_map.map_grid(geometry.disc, len(inverse.height_mm)), geometry)
     use = _contact(inverse)
     found, inside = inverse.height_mm[use].astype(np.float64), rays.inside[use]
@@ -85,7 +92,9 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Why an image of a press cannot be used; or what moved too far since the references, and what changed less."""
+    """Why an image of a press cannot be used; or what moved too far since the references,
+    and what changed less.
+    """
 
     unusable: Reason | None
     moved: str = ""
@@ -94,7 +103,9 @@ class Judgement:
 
 
 class PressCheck:
-    """Judges and measures images of one sensor from its calibration without presses, and a network of its own."""
+    """Judges and measures images of one sensor from its calibration without presses,
+    and a network of its own.
+    """
 
     def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:
         self._unloaded = unloaded
@@ -121,7 +132,9 @@ class PressCheck:
         return inverse if np.count_nonzero(_contact(inverse)) >= LEAST_CELLS else None
 
     def see(self, observed: PressObservation, press: KnownPress) -> PressObservation:
-        """The observation with what the network sees; unchanged without a network, or if it sees no contact."""
+        """The observation with what the network sees;
+        unchanged without a network, or if it sees no contact.
+        """
         inverse, geometry = self._inverse(press.image), self.geometry
         if inverse is None:
             return observed
@@ -158,7 +171,9 @@ class PressCheck:
         return observe_press(self._preprocessor, self._mapper, press)
 
     def question(self, ball: KnownPress) -> str:
-        """A question about the radius of a ball that looks much larger or smaller than stated; empty otherwise."""
+        """A question about the radius of a ball that looks much larger or smaller than stated;
+        empty otherwise.
+        """
         seen = self.see(self.observe(ball), ball)
         larger = seen.ball_factor > _LOOKS[1] and seen.misfit_ratio > _LOOKS_RATIO
         if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (

@@ -1,4 +1,6 @@
-"""Select the presses for a fit: not those that disagree with their stated values, or with what all others predict."""
+"""Select the presses for a fit: not those that disagree with their stated values,
+or with what all others predict.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,10 @@ from tacshade_edge.types import F64, Calibration, Geometry, Polarity
 OUTLIER_DEVIATIONS = 4.0
 """A press is an outlier beyond this many standard deviations of all presses."""
 
-# Regression of log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log brightening, and 1 for each
-# other indenter, on the nominal skin: usual weights (0 for the indenters), which count where the presses leave a weight
-# open, and the strength of the pull towards them.
+# Regression of log(travel) on 1, log χ, ρ², ρ⁴, log ball radius, log brightened area, log
+# brightening, and 1 for each other indenter, on the nominal skin: usual weights (0 for the
+# indenters), which count where the presses leave a weight open, and the strength of the pull
+# towards them.
 _USUAL_WEIGHTS = np.array([0.0, 1.2, 0.0, 0.0, -0.3, 0.2, -0.25])
 _RIDGE = 0.01
 # Least standard deviation of log(travel), and of the travel in mm on the nominal skin.
@@ -42,26 +45,29 @@ _HUBER = 1.5
 _LEAST_TRAVEL_MM = 0.05
 _MAX_LEVERAGE = 0.9
 _ITERATIONS = 12
-# A place is an outlier beyond this many times the median error, with bounds in mm on the nominal skin.
-# tools/studies/calibration.py measures what this finds, rightly and wrongly.
+# A place is an outlier beyond this many times the median error, with bounds in mm on the nominal
+# skin. tools/studies/calibration.py measures what this finds, rightly and wrongly.
 _PLACE_MEDIANS, _PLACE_LEAST_MM, _PLACE_MOST_MM = 3.0, 3.5, 5.0
 # The same for presses located by a network.
 _SEEN_MEDIANS, _SEEN_LEAST_MM = 4.0, 2.0
-# A ball is an outlier if its size differs from the median press's by this many robust deviations of the logarithms and
-# at least this factor; shallower presses (mm on the nominal skin) do not show the radius.
+# A ball is an outlier if its size differs from the median press's by this many robust deviations of
+# the logarithms and at least this factor; shallower presses (mm on the nominal skin) do not show
+# the radius.
 _BALL_DEVIATIONS, _BALL_LEAST, _BALL_DEPTH_MM = 4.0, 1.55, 0.8
-# A small ball may look larger than it is, so a larger look counts only if the stated radius fits this many times worse.
+# A small ball may look larger than it is, so a larger look counts only
+# if the stated radius fits this many times worse.
 _LARGER_MISFIT_RATIO = 4.0
 # With fewer presses, no fit shows which one is wrong.
 _LEAST_PRESSES = 3
 
 
 def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[F64, F64]:
-    """Fit all presses robustly, and predict each from the others: the residuals (N,), predicted less stated travel in
-    mm, and their sizes in robust standard deviations. The travel from first touch is a power law of what the image
-    shows. Iteration by Holland and Welsch (Comm. Stat. A 6, 1977) with Huber's weights, 0 beyond `OUTLIER_DEVIATIONS`;
-    a pull towards usual weights (Hoerl and Kennard, Technometrics 12, 1970); residuals from the leverage by D. M. Allen
-    (Technometrics 16, 1974).
+    """Fit all presses robustly, and predict each from the others: the residuals (N,), predicted
+    less stated travel in mm, and their sizes in robust standard deviations. The travel from first
+    touch is a power law of what the image shows. Iteration by Holland and Welsch (Comm. Stat. A 6,
+    1977) with Huber's weights, 0 beyond `OUTLIER_DEVIATIONS`; a pull towards usual weights (Hoerl
+    and Kennard, Technometrics 12, 1970); residuals from the leverage by D. M. Allen (Technometrics
+    16, 1974).
     """
     scale = skin_scale(geometry)
     features = _features(observations, geometry)
@@ -98,7 +104,9 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
 
 
 def agreement_mae_mm(observations: Sequence[PressObservation], geometry: Geometry) -> float:
-    """Mean error of the depth of a press, predicted from all the others with indenter and place known; mm."""
+    """Mean error of the depth of a press, predicted from all the others with indenter
+    and place known; mm.
+    """
     return float(np.mean(np.abs(leave_one_out(observations, geometry)[0])))
 
 
@@ -122,7 +130,9 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
 
 
 def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
-    """A message for each press, by index, whose place, ball or depth differs from what its image or the others show."""
+    """A message for each press, by index, whose place,
+    ball or depth differs from what its image or the others show.
+    """
     reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
         # Repeat without the worst: many wrong presses widen the deviation and so hide each other.
@@ -163,7 +173,10 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
             )
             for k in (k for k in alike if errors[k] > limit_mm):
                 o, (x_mm, y_mm) = observations[k], observations[k].place_mm
-                expected = f"expected x {o.located_x_mm:.1f}, y {o.located_y_mm:.1f} mm, as the image shows"
+                expected = (
+                    f"expected x {o.located_x_mm:.1f}, y {o.located_y_mm:.1f} mm, "
+                    "as the image shows"
+                )
                 reasons[k] = f"{o.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, {expected}"
     return reasons
 
@@ -205,7 +218,9 @@ _MAX_LEFT_OUT = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """The presses to fit, their observations, warnings about all presses, and `wrong_keys` of SENSOR.yaml."""
+    """The presses to fit, their observations, warnings about all presses,
+    and `wrong_keys` of SENSOR.yaml.
+    """
 
     presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
@@ -220,13 +235,16 @@ def select_presses(
     network: Network | None = None,
     polarity_stated: bool = True,
 ) -> Selection:
-    """Leave out presses without contact, with a moved camera, or that disagree. A polarity that was not stated is the
-    one that fits the places. Raises ConfigError on a gross mistake in the whole table or the sensor's description, and
-    on too few presses or too many left out, all of which it names.
+    """Leave out presses without contact, with a moved camera, or that disagree.
+
+    A polarity that was not stated is the one that fits the places. Raises ConfigError on a gross
+    mistake in the whole table or the sensor's description, and on too few presses or too many left
+    out, all of which it names.
     """
     if len(presses) < MIN_PRESSES:
         raise ConfigError(
-            f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better results)"
+            f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better "
+            "results)"
         )
     geometry = unloaded.geometry
     check = PressCheck(unloaded, network)
@@ -292,7 +310,10 @@ def _impossible(calibration: Calibration, press: KnownPress) -> str:
     """Why this cannot be a press of the sensor; empty if it can."""
     most_mm = calibration.geometry.height_max_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
-        expected = f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the reference"
+        expected = (
+            f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the "
+            "reference"
+        )
         return f"found {press.image.shape[1]}x{press.image.shape[0]} px, {expected}"
     if not 0 < press.depth_mm < most_mm or not (press.indenter or press.radius_mm > 0):
         found = f"found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm"

@@ -1,6 +1,8 @@
-"""Which key of SENSOR.yaml is wrong? Presses of known balls show it, by a profile likelihood: for each value of a key,
-the balls' surfaces are compared with the heights that a network sees, up to one factor. The skin's radius and the half
-angle act alike, so that both may explain the presses.
+"""Which key of SENSOR.yaml is wrong?
+
+Presses of known balls show it, by a profile likelihood: for each value of a key, the balls'
+surfaces are compared with the heights that a network sees, up to one factor. The skin's radius and
+the half angle act alike, so that both may explain the presses.
 """
 
 from __future__ import annotations
@@ -23,18 +25,21 @@ _NAMES = {"pad_radius_mm": "visible_radius_mm"}
 """Fields of `Geometry` that have another name in SENSOR.yaml."""
 _FACTORS = np.exp(np.linspace(-math.log(3), math.log(3), 17))
 _MOST_DEG = 85.0
-# A key explains the presses if its log likelihood exceeds that of the stated values by this much for each press and in
-# all, and by this part of what the best key gains. On four simulated sensors each press gained 0.01 without a mistake,
-# up to 0.23 with all places 1 mm or all depths 0.4 mm off, and over 1.1 with a radius or half angle a fifth too small.
+# A key explains the presses if its log likelihood exceeds that of the stated values by this much
+# for each press and in all, and by this part of what the best key gains. On four simulated sensors
+# each press gained 0.01 without a mistake, up to 0.23 with all places 1 mm or all depths 0.4 mm
+# off, and over 1.1 with a radius or half angle a fifth too small.
 _GAIN_EACH, _LEAST_GAIN, _PART_OF_BEST = 0.3, 8.0, 0.7
 # Beyond the best of them, presses are mistakes of their own.
 _MOST_MISFIT, _PART_BELIEVED = 1.0, 0.9
-# A usual distance in skin radii, to try around if none is stated; and that of the lens from the visible circle, in its
-# radii.
+# A usual distance in skin radii, to try around if none is stated; and that of the lens from the
+# visible circle, in its radii.
 _USUAL_DISTANCE, _USUAL_LENS = 0.7, 1.75
-# Half angles of the other forms that are tried (0: a pad), and factors on the lens's distance from the visible circle.
+# Half angles of the other forms that are tried (0:
+# a pad), and factors on the lens's distance from the visible circle.
 _HALF_ANGLES_DEG = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
-# Of a dome's half angle: another radius with nearly the same angle explains what a wrong angle does.
+# Of a dome's half angle: another radius with nearly the same angle explains what a wrong angle
+# does.
 _FLATTER = 0.5
 # Forms whose misfits differ by this part explain the presses alike.
 _ALIKE = 0.1
@@ -42,8 +47,8 @@ _LENS_FACTORS = np.exp(np.linspace(-math.log(2), math.log(2), 9))
 
 
 def wrong_keys(observations: Sequence[PressObservation], geometry: Geometry) -> str:
-    """The keys that explain the presses far better with another value, and that value, or another form of the skin that
-    does better still; empty if none does, or any key.
+    """The keys that explain the presses far better with another value, and that value, or another
+    form of the skin that does better still; empty if none does, or any key.
     """
     balls = [o for o in observations if o.is_seen and o.x_mm is not None and not o.indenter]
     if not balls:
@@ -76,7 +81,9 @@ def _keys(geometry: Geometry) -> tuple[str, ...]:
 def _best_value(
     balls: Sequence[PressObservation], geometry: Geometry, key: str, stated: float
 ) -> tuple[float, float]:
-    """The log likelihood that the best value of a key gains over the `stated` misfit, and the value."""
+    """The log likelihood that the best value of a key gains over the `stated` misfit,
+    and the value.
+    """
     now = getattr(geometry, key) or _USUAL_DISTANCE * geometry.size_mm
     tried = [
         float(now * factor) for factor in _FACTORS if key != _KEYS[1] or now * factor < _MOST_DEG
@@ -104,8 +111,8 @@ def _best_form(
 
 
 def _formed(geometry: Geometry, half_angle_deg: float, factor: float) -> Geometry:
-    """A skin with the visible circle of `geometry` and its own half angle (0: a pad), at a factor on
-    the lens's distance from the circle.
+    """A skin with the visible circle of `geometry` and its own half angle (0: a pad), at a factor
+    on the lens's distance from the circle.
     """
     radius_mm, d = geometry.visible_radius_mm, geometry.camera_distance_mm
     lens_mm = _USUAL_LENS * radius_mm
@@ -129,7 +136,9 @@ def _words(geometry: Geometry) -> str:
 
 
 def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry) -> float:
-    """Mean part of the best balls' squared heights that the network's do not explain, at the median factor."""
+    """Mean part of the best balls' squared heights that the network's do not explain,
+    at the median factor.
+    """
     if tried.camera_distance_mm is not None and not tried.f_px > 0:
         return _MOST_MISFIT
     per_px = tried.mm_per_px if tried.camera_distance_mm is None else 1 / tried.f_px

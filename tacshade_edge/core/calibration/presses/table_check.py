@@ -1,8 +1,9 @@
-"""Detect mistakes in a whole table of presses: sizes of depths, balls and skin; axes, units, polarity; zero of the
-depths. A network is off on a sensor that it never saw by a nearly constant factor (`refit`). So the greatest height
-that it finds shows a wrong unit, the fall of the height around that the radius of a ball, and its depths against the
-true ones lie on a line through 0: if the stated ones lie on another line, their zero is another. Travel from first
-touch is off by an amount that grows with the distance from the middle; its share in the error, 0 or 1, is a third
+"""Detect mistakes in a whole table of presses: sizes of depths, balls and skin; axes, units,
+polarity; zero of the depths. A network is off on a sensor that it never saw by a nearly constant
+factor (`refit`). So the greatest height that it finds shows a wrong unit, the fall of the height
+around that the radius of a ball, and its depths against the true ones lie on a line through 0: if
+the stated ones lie on another line, their zero is another. Travel from first touch is off by an
+amount that grows with the distance from the middle; its share in the error, 0 or 1, is a third
 coefficient. (The weights: P. J. Huber, Ann. Math. Stat. 35, 1964.)
 """
 
@@ -21,25 +22,28 @@ from tacshade_edge.types import F64, Geometry, Polarity
 
 # With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
 _LEAST_SIZED, _LEAST_SEEN_PART = 4, 0.5
-# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to 1.6 (0.79 on a stiff
-# skin over soft gel), places 0.95 to 1.05. Diameters: balls 0.40 to 0.63.
+# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to
+# 1.6 (0.79 on a stiff skin over soft gel), places 0.95 to 1.05. Diameters: balls 0.40 to 0.63.
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.7, 1.85)
-# If all stated depths are too great by a constant, balls look smaller, and depths as much. Balls over depths are 0.96
-# or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
+# If all stated depths are too great by a constant, balls look smaller, and depths as much. Balls
+# over depths are 0.96 or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
 _LEAST_BALL_PER_DEPTH = 0.9
 _PLACE_FACTORS = (0.6, 1.4)
-# Places nearer to the middle than this (RMS, skin radii) show no factor: a place is found within 1 mm.
+# Places nearer to the middle than this (RMS, skin radii) show no factor:
+# a place is found within 1 mm.
 _LEAST_REACH_RADII = 0.1
-# Without places: if twice the skin's radius is stated, balls look three or more times as large, and depths larger too.
+# Without places: if twice the skin's radius is stated, balls look three or more times as large,
+# and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
 _SKIN_MISTAKES = {"a diameter": 2.0, "half of the radius": 0.5, "in cm": 0.1}
-# Suggest other axes if they leave less than this part of an error of at least this many mm on the nominal skin.
+# Suggest other axes if they leave less than this part of an error
+# of at least this many mm on the nominal skin.
 _AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
 _AXES_LEAST_PRESSES = 4
-# Suggest the other polarity if it leaves less than the first part of an error that is at least the second part of the
-# presses' distance from the middle.
+# Suggest the other polarity if it leaves less than the first part of an error that is at least the
+# second part of the presses' distance from the middle.
 _POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
 # Other readings of x and y: x is a·x + b·y, y is c·x + d·y.
 _AXES = {
@@ -54,13 +58,15 @@ _AXES = {
     "x and y are in inches": (25.4, 0, 0, 25.4),
     "x and y are in m": (1000, 0, 0, 1000),
 }
-# An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the line's slope is one that
-# the network has on known kinds of sensors. Good tables have 0.26 mm at most. tools/studies/calibration.py measures
-# what this finds, rightly and wrongly.
+# An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the
+# line's slope is one that the network has on known kinds of sensors. Good tables have 0.26 mm at
+# most. tools/studies/calibration.py measures what this finds, rightly and wrongly.
 _LEAST_OFFSET_MM, _OFFSET_DEVIATIONS, _SLOPES = 0.3, 3.0, (0.85, 1.15)
-# Depths are travel from first touch if its coefficient exceeds this, and so many standard deviations.
+# Depths are travel from first touch if its coefficient exceeds this,
+# and so many standard deviations.
 _TRAVEL, _TRAVEL_DEVIATIONS = 0.7, 4.0
-# Error of a depth: a part of it, and mm on the nominal skin; and the least deviation relative to that.
+# Error of a depth: a part of it, and mm on the nominal skin;
+# and the least deviation relative to that.
 _ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
 _HUBER, _ITERATIONS = 1.5, 25
 # Fewer presses show too little; with fewer than the second, no travel.
@@ -68,7 +74,10 @@ _LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
 
 
 def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
-    """Mistakes that all presses share, or in the skin's size. Only a network that sees the presses finds sizes."""
+    """Mistakes that all presses share, or in the skin's size.
+
+    Only a network that sees the presses finds sizes.
+    """
     seen = [o for o in observations if o.is_seen]
     depth = _median([o.seen_depth_mm / o.depth_mm for o in seen])
     is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)
@@ -80,20 +89,24 @@ def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry)
 
 
 def unit_mistake(factor: float) -> str:
-    """A message about a wrong unit of depths that images show as this much greater than stated; empty if right."""
+    """A message about a wrong unit of depths that images show as this much greater than stated;
+    empty if right.
+    """
     if not factor > _UNIT_FACTOR:
         return ""
     unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
     return (
-        f"PRESSES.csv: depth_mm: the images show presses about {factor:.0f} times as deep as stated: "
-        f"are the depths in {unit}? expected mm"
+        f"PRESSES.csv: depth_mm: the images show presses about {factor:.0f} times as deep as "
+        f"stated: are the depths in {unit}? expected mm"
     )
 
 
 def size_mistake(
     depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
 ) -> str:
-    """A wrong size of the skin or of all balls, by median ratios of shown to stated depths and radii (NaN: unknown)."""
+    """A wrong size of the skin or of all balls, by median ratios of shown to stated depths
+    and radii (NaN: unknown).
+    """
     places = _place_factor(observations, geometry.size_mm)
     skin = math.nan
     if math.isfinite(places):
@@ -113,14 +126,16 @@ def size_mistake(
     if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
         asked = "are they diameters?" if ball < 1 else "are they halved?"
         return (
-            f"PRESSES.csv: radius_mm: the images show balls of about {ball:.1f} times the stated radii: "
-            f"{asked} expected radii in mm"
+            f"PRESSES.csv: radius_mm: the images show balls of about {ball:.1f} times the stated "
+            f"radii: {asked} expected radii in mm"
         )
     return ""
 
 
 def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> float:
-    """Ratio of the balls' shown to stated distances from the middle; NaN if too little is stated."""
+    """Ratio of the balls' shown to stated distances from the middle;
+    NaN if too little is stated.
+    """
     balls = [o for o in observations if o.x_mm is not None and not o.indenter]
     if len(balls) < _LEAST_SIZED:
         return math.nan
@@ -148,7 +163,9 @@ def other_polarity(polarity: Polarity) -> Polarity:
 def polarity_hint(
     observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity
 ) -> str:
-    """A hint at the other polarity, if the places of the same presses then fit clearly better; empty otherwise."""
+    """A hint at the other polarity, if the places of the same presses then fit clearly better;
+    empty otherwise.
+    """
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
         return ""
@@ -165,7 +182,9 @@ def polarity_hint(
 
 
 def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
-    """A hint at other axes, or another unit of the places, that fit clearly better; empty if none do."""
+    """A hint at other axes, or another unit of the places, that fit clearly better;
+    empty if none do.
+    """
     stated = with_stated_place(observations)
     if len(stated) < _AXES_LEAST_PRESSES:
         return ""
@@ -174,7 +193,10 @@ def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> s
     error = _error_mm(stated, _AXES[best])
     if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
         return ""
-    return f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}"
+    return (
+        f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, "
+        f"if {best}"
+    )
 
 
 def _error_mm(
@@ -192,8 +214,10 @@ def _error_mm(
 
 
 def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
-    """A better zero of the stated depths, judging by the greatest h that a network finds in each press without a refit;
-    empty if none is clearly better. Raises ConfigError if the depths are certainly travel from first touch.
+    """A better zero of the stated depths, judging by the greatest h that a network finds in each
+    press without a refit; empty if none is clearly better.
+
+    Raises ConfigError if the depths are certainly travel from first touch.
     """
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     found = np.asarray(found_mm) / scale
@@ -209,9 +233,9 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
         (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
         if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):
             raise ConfigError(
-                "PRESSES.csv: depth_mm: found travel from first touch, judging by the images: pass --depth-from-touch, "
-                "or state the undeformed skin's z at (x, y) minus the z of the indenter's lowest point "
-                "(docs/reference/calibration-files.md)"
+                "PRESSES.csv: depth_mm: found travel from first touch, judging by the images: "
+                "pass --depth-from-touch, or state the undeformed skin's z at (x, y) minus the z "
+                "of the indenter's lowest point (docs/reference/calibration-files.md)"
             )
     (slope, offset), (_, deviation) = _robust_fit(x[:, [0, 2]], stated)
     beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
@@ -222,7 +246,9 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
 
 
 def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
-    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths, and their deviations (C,)."""
+    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths,
+    and their deviations (C,).
+    """
     trust = 1 / np.hypot(_ERROR_MM, _ERROR_PART * x[:, 0])
     weight = trust * trust
     for _ in range(_ITERATIONS):

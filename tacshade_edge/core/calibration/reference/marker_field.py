@@ -9,25 +9,28 @@ from tacshade_edge.core.geometry.disc import disc_mask
 from tacshade_edge.core.image.white import binarise
 from tacshade_edge.types import F32, F64, U8, Binarisation, Disc, frozen
 
-# The search for blobs shrinks the shorter side to this, and takes extrema of both signs of the difference of two
-# Gaussians (D. Marr and E. Hildreth, 1980) at these sizes.
+# The search for blobs shrinks the shorter side to this, and takes extrema of both signs of the
+# difference of two Gaussians (D. Marr and E. Hildreth, 1980) at these sizes.
 _SEARCH_PX = 240
 _SIGMAS_PX = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 _WIDER = 1.6
 _LEAST_CONTRAST_GREY = 2.0
-# Neighbours in a pattern have about the same pitch and contrast; lamps, screws and reflections do not. A marker has at
-# least this many neighbours, a pattern this many markers; fewer than `_MANY` must be more even, and at least this part
-# of all blobs of half their contrast, or they are the middle of a pressed skin.
+# Neighbours in a pattern have about the same pitch and contrast; lamps, screws and reflections do
+# not. A marker has at least this many neighbours, a pattern this many markers; fewer than `_MANY`
+# must be more even, and at least this part of all blobs of half their contrast, or they are the
+# middle of a pressed skin.
 _NEAREST = 9
 _PITCHES, _UNLIKE_PITCH, _UNLIKE_CONTRAST = 1.4, 1.4, 1.6
 _LEAST_NEIGHBOURS, LEAST_MARKERS, _MANY, _FEW_PART = 3, 19, 60, 0.8
-# Standard deviation of the log ratio of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more in noise (0.06 at
-# most and 0.1 among few); and the rate at which a field's score falls with it.
+# Standard deviation of the log ratio of neighbours' pitches: 0.04 to 0.1 in patterns, 0.13 or more
+# in noise (0.06 at most and 0.1 among few); and the rate at which a field's score falls with it.
 _MOST_UNEVEN, _MOST_UNEVEN_FEW, _EVENNESS = 0.115, 0.08, 14.0
-# Least part of a field's hull filled by its markers' cells: patterns fill 0.8 or more, strings in noise less.
+# Least part of a field's hull filled by its markers' cells:
+# patterns fill 0.8 or more, strings in noise less.
 _LEAST_FILLED = 0.7
-# A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05 of them. A marker
-# that the rim cuts may seem to lie outside by up to this many pitches (0.12 in the simulator).
+# A visible circle holds at least this part of the markers: the corners of a hexagon of 127 are 0.05
+# of them. A marker that the rim cuts may seem to lie outside by up to this many pitches (0.12 in
+# the simulator).
 _HELD_PART, _CUT_PITCHES, _SAMPLES = 0.985, 0.25, 41
 _HEXAGON = 3**0.5 / 2
 """Area of a lattice cell, in squared pitches."""
@@ -35,8 +38,8 @@ _HEXAGON = 3**0.5 / 2
 
 @frozen
 class MarkerField:
-    """The markers, or pins, of one image: (row, col) (N, 2), N at least `LEAST_MARKERS`; the median distance to the
-    three nearest; the smallest circle around all, plus half a pitch.
+    """The markers, or pins, of one image: (row, col) (N, 2), N at least `LEAST_MARKERS`; the median
+    distance to the three nearest; the smallest circle around all, plus half a pitch.
     """
 
     markers_px: F64
@@ -69,7 +72,9 @@ class MarkerField:
 
 
 def find_markers(grey: U8) -> MarkerField | None:
-    """Find the largest and most even field of blobs of one size in a grey image; None if there is none."""
+    """Find the largest and most even field of blobs of one size in a grey image;
+    None if there is none.
+    """
     scale = min(grey.shape) / _SEARCH_PX
     if min(grey.shape) < 16:
         return None
@@ -106,7 +111,9 @@ def _extrema(difference: F32, sigma_px: float) -> tuple[F64, F32]:
 
 
 def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
-    """The largest set of blobs spaced like a pattern, its pitch and unevenness; None if too few or too uneven."""
+    """The largest set of blobs spaced like a pattern, its pitch and unevenness;
+    None if too few or too uneven.
+    """
     if len(points) < LEAST_MARKERS:
         return None
     from scipy.sparse import coo_matrix, csr_matrix
@@ -152,8 +159,9 @@ def _score(points: F64, pitch: float, uneven: float) -> float:
     return area * filled**2 * float(np.exp(-_EVENNESS * uneven)) if filled >= _LEAST_FILLED else 0.0
 
 
-# A piece of white below this part of a squared pitch is a speck. Between pins that stand far apart, the local mean is
-# near the dark level, and noise makes specks: more than a fifth as many as markers.
+# A piece of white below this part of a squared pitch is a speck. Between pins that stand far apart,
+# the local mean is near the dark level, and noise makes specks: more than a fifth as many as
+# markers.
 _SPECK = 0.03
 _SPECKS_PER_MARKER = 0.2
 # Otsu's level suits such a sensor if it shows at least this part of the markers as separate pieces.
@@ -161,7 +169,9 @@ _SHOWN_PART = 0.85
 
 
 def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
-    """Choose the local mean, or Otsu's level if the local mean makes specks of noise and Otsu's shows the markers."""
+    """Choose the local mean, or Otsu's level if the local mean makes specks of noise
+    and Otsu's shows the markers.
+    """
     field = find_markers(grey)
     if field is None:
         return "adaptive"
@@ -180,7 +190,9 @@ def choose_binarisation(grey: U8, disc: Disc, pitch_px: float) -> Binarisation:
 
 
 def _piece_sizes(white: U8) -> tuple[np.ndarray, np.ndarray]:
-    """The label of each pixel's piece of white, from 1 (0 for black), and the area of each piece, px."""
+    """The label of each pixel's piece of white, from 1 (0 for black), and the area of each piece,
+    px.
+    """
     _, label, stats, _ = cv2.connectedComponentsWithStats(white)
     return label, stats[1:, cv2.CC_STAT_AREA]
 

@@ -1,4 +1,6 @@
-"""Find the visible circle and the marker pitch in a reference image, and judge how well an image shows them."""
+"""Find the visible circle and the marker pitch in a reference image,
+and judge how well an image shows them.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,14 @@ _LEAST_PX = 80
 _NOT_FOUND = "found no visible circle in the reference"
 # Height of the image in which the coarse circle is searched for.
 _SEARCH_ROWS = 120
-# Vignetting weakens the rim's markers, and a LED ring has texture too: start from several parts of Otsu's threshold.
+# Vignetting weakens the rim's markers, and a LED ring has texture too:
+# start from several parts of Otsu's threshold.
 _TEXTURE_PARTS = (1.0, 0.5, 0.25)
-# The rim of a region cut by the image: the part further than this from the border, with at least this many corners.
+# The rim of a region cut by the image: the part further than this from the border,
+# with at least this many corners.
 _BORDER_PX, _RIM_CORNERS = 4, 8
-# A circle with at least this part of its rim in the image is not cut (a bright surround reaches the border, too).
+# A circle with at least this part of its rim in the image is not cut
+# (a bright surround reaches the border, too).
 _RIM_WHOLE = 0.97
 _RAYS = 1440
 _RADIAL_STEP_PX = 0.5
@@ -33,24 +38,28 @@ _SLOW_TURN = 1 / 60
 _CENTRE_STEPS = (8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12)
 # A pattern varies along the angle, just inside its rim, by at least this (RMS, grey levels).
 _LEAST_PATTERN = 3.0
-# In a sector that shows the rim's end, the variation just inside is at least this part of the median sector's, and that
-# just outside at most this part of that inside. True rims end in 0.62 or more of the sectors (0.7 to 1 in whole
-# images), wrong ones and the corners of a hexagon in 0.5 or less.
+# In a sector that shows the rim's end, the variation just inside is at least this part of the
+# median sector's, and that just outside at most this part of that inside. True rims end in 0.62 or
+# more of the sectors (0.7 to 1 in whole images), wrong ones and the corners of a hexagon in 0.5 or
+# less.
 _SECTORS, _PATTERN_PART, _RIM_FALL, _ENDING = 24, 0.35, 0.6, 0.6
-# If it ends in this part, and has at least this part of the radius of the circle around the markers, what looks like
-# markers beyond it is lamps.
+# If it ends in this part, and has at least this part of the radius of the circle around the
+# markers, what looks like markers beyond it is lamps.
 _SURE, _LAMPS = 0.85, 0.75
 _LEAST_SECTORS = 10
-# The outer part of a field and what is beside it, in radii of the circle around it, by as many radii.
+# The outer part of a field and what is beside it, in radii of the circle around it,
+# by as many radii.
 _BESIDE, _BESIDE_RADII = (0.8, 1.1), 16
 # A refused circle is the likeliest one if it ends in this part; else the one around the markers is.
 _GUESSED = 0.35
-# Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field as wide as the
-# image). At the end of the texture the second is enough: the search misses some markers of a faint rim (0.52 is left on
-# a coarse one, 0.39 on a dome seen orthographically). The circle of lamps around real domes with pins in their middle
-# is filled by 0.26 to 0.36, and the pins end before it.
+# Least part of the visible circle within a pitch of a marker (0.9 for a hexagon, 0.65 for a field
+# as wide as the image). At the end of the texture the second is enough: the search misses some
+# markers of a faint rim (0.52 is left on a coarse one, 0.39 on a dome seen orthographically). The
+# circle of lamps around real domes with pins in their middle is filled by 0.26 to 0.36, and the
+# pins end before it.
 _FILLED, _HALF_FILLED = 0.75, 0.37
-# A stated circle holds at least this part of the markers: true ones hold all, those a tenth too small 0.9 or more.
+# A stated circle holds at least this part of the markers:
+# true ones hold all, those a tenth too small 0.9 or more.
 _STATED_PART = 0.85
 
 
@@ -79,8 +88,9 @@ class CircleNotFoundError(ConfigError):
 
 
 def visible_disc(grey: U8, stated: Disc | None) -> Disc:
-    """The stated circle, or else the one found. Raises ConfigError with the line of SENSOR.yaml that states the
-    likeliest.
+    """The stated circle, or else the one found.
+
+    Raises ConfigError with the line of SENSOR.yaml that states the likeliest.
     """
     try:
         disc = stated or find_disc(grey)
@@ -97,14 +107,21 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
 
 
 def rim_warning(grey: U8, disc: Disc) -> str:
-    """A warning if a found circle bounds the markers, but no rim is seen to cut the pattern; empty otherwise."""
+    """A warning if a found circle bounds the markers, but no rim is seen to cut the pattern;
+    empty otherwise.
+    """
     if _ending_part(grey, disc) >= _ENDING:
         return ""
-    return f"visible circle: found the circle around the outermost markers, not a rim that ends them{_advice(disc)}"
+    return (
+        "visible circle: found the circle around the outermost markers, not a rim that ends "
+        f"them{_advice(disc)}"
+    )
 
 
 def stated_warning(grey: U8, disc: Disc) -> str:
-    """A warning if a stated circle leaves out many markers, as by a wrong digit or swapped axes; empty otherwise."""
+    """A warning if a stated circle leaves out many markers, as by a wrong digit or swapped axes;
+    empty otherwise.
+    """
     field = find_markers(grey)
     if not field or field.holds(disc, _STATED_PART):
         return ""
@@ -115,20 +132,28 @@ def stated_warning(grey: U8, disc: Disc) -> str:
 
 
 def _advice(guess: Disc) -> str:
-    circle = f"{{row_px: {guess.row_c:.0f}, col_px: {guess.col_c:.0f}, radius_px: {guess.radius_px:.0f}}}"
+    circle = (
+        f"{{row_px: {guess.row_c:.0f}, col_px: {guess.col_c:.0f}, radius_px: "
+        f"{guess.radius_px:.0f}}}"
+    )
     return (
         f"; measure it in the image and state it in SENSOR.yaml, such as `visible_circle: {circle}`"
     )
 
 
 def find_disc(grey: U8) -> Disc:
-    """Find the visible circle. Its rim is where the pattern's variation along the angle ends: a step in brightness
-    would find the LED ring. Regions of texture give coarse circles, from which a search moves to the sharpest end (J.
-    Daugman, IEEE Trans. PAMI 15, 1993). Markers must fill the disc; pins that no rim cuts end at the circle around
-    them. Raises CircleNotFoundError.
+    """Find the visible circle.
+
+    Its rim is where the pattern's variation along the angle ends: a step in brightness would find
+    the LED ring. Regions of texture give coarse circles, from which a search moves to the sharpest
+    end (J. Daugman, IEEE Trans. PAMI 15, 1993). Markers must fill the disc; pins that no rim cuts
+    end at the circle around them. Raises CircleNotFoundError.
     """
     if min(grey.shape) < _LEAST_PX:
-        found = f"the image is {grey.shape[1]}x{grey.shape[0]} px, expected at least {_LEAST_PX} px per side"
+        found = (
+            f"the image is {grey.shape[1]}x{grey.shape[0]} px, "
+            f"expected at least {_LEAST_PX} px per side"
+        )
         raise CircleNotFoundError(f"{_NOT_FOUND}: {found}")
     field = find_markers(grey)
     rims = [rim for starts in _starts(grey, field) if (rim := _sharpest(grey, starts))]
@@ -153,7 +178,10 @@ def find_disc(grey: U8) -> Disc:
     if field and whole and _filled(grey, field.circle, field) >= _FILLED:
         return field.circle
     ending, best = max(zip(endings, rims, strict=True), key=lambda each: each[0])
-    found = f"markers fill {100 * _filled(grey, best.disc, field):.0f} % of the best circle and end along"
+    found = (
+        f"markers fill {100 * _filled(grey, best.disc, field):.0f} % of the best circle and end "
+        "along"
+    )
     guess = field.circle if field and ending < _GUESSED else best.disc
     raise CircleNotFoundError(f"{_NOT_FOUND}: {found} {100 * ending:.0f} % of its rim", guess)
 
@@ -181,7 +209,9 @@ def _is_visible_circle(grey: U8, rim: _Rim, ending: float, field: MarkerField | 
 
 
 def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
-    """Coarse circles: around regions of texture, through the rims of cut ones, and around the markers."""
+    """Coarse circles: around regions of texture, through the rims of cut ones,
+    and around the markers.
+    """
     regions = [region for part in _TEXTURE_PARTS if (region := _textured_region(grey, part))]
     rims = [rim for _, rim in regions if rim]
     around = []
@@ -194,7 +224,9 @@ def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
 
 
 def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
-    """Part of a circle's sectors in the image, 0 to 1, in which the pattern ends at the circle, for half a pitch."""
+    """Part of a circle's sectors in the image, 0 to 1, in which the pattern ends at the circle,
+    for half a pitch.
+    """
     n = _width(disc)
     radii: F64 = disc.radius_px + _RADIAL_STEP_PX * np.arange(
         -n, max(n, pitch_px / 2 / _RADIAL_STEP_PX)
@@ -217,7 +249,9 @@ def _ending_part(grey: U8, disc: Disc, pitch_px: float = 0.0) -> float:
 
 
 def _is_isolated(grey: U8, field: MarkerField) -> bool:
-    """Whether a pattern ends with a field: beside it, the image varies under a third as much (0.47 on coarse rims)."""
+    """Whether a pattern ends with a field: beside it,
+    the image varies under a third as much (0.47 on coarse rims).
+    """
     radii: F64 = field.circle.radius_px * np.linspace(*_BESIDE, 3 * _BESIDE_RADII)
     strength, seen = _pattern_strength(grey, field.circle, radii)
     rms = np.sqrt(strength.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
@@ -225,7 +259,9 @@ def _is_isolated(grey: U8, field: MarkerField) -> bool:
 
 
 def _sharpest(grey: U8, starts: list[Disc]) -> _Rim | None:
-    """The sharpest rim found from the best of the starting circles; None if the pattern fills the image."""
+    """The sharpest rim found from the best of the starting circles;
+    None if the pattern fills the image.
+    """
     rims = [rim for start in starts if (rim := _end_of_pattern(grey, start, 0.5, 1.4))]
     if not rims:
         return None
@@ -237,7 +273,9 @@ def _sharpest(grey: U8, starts: list[Disc]) -> _Rim | None:
 
 @dataclass(frozen=True, slots=True)
 class _Rim:
-    """A circle, the sharpness of the pattern's end there, and the variation just inside (grey levels)."""
+    """A circle, the sharpness of the pattern's end there,
+    and the variation just inside (grey levels).
+    """
 
     disc: Disc
     sharpness: float
@@ -263,8 +301,8 @@ def _climb(grey: U8, best: _Rim, step_px: float) -> _Rim:
 
 
 def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
-    """The circle of the area of the largest region with more texture than a part of Otsu's threshold (1979), and one
-    through its rim if the image cuts it; None if it is too small.
+    """The circle of the area of the largest region with more texture than a part of Otsu's
+    threshold (1979), and one through its rim if the image cuts it; None if it is too small.
     """
     from skimage import measure  # a daemon that takes no reference does not need it
 
@@ -297,7 +335,9 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
 def _circle_through_rim(
     hull: F64, shape: tuple[int, ...], border_px: float, scale: float = 1.0
 ) -> Disc | None:
-    """Circle by least squares through the hull's corners (row, col) off the border; None if not cut."""
+    """Circle by least squares through the hull's corners (row, col) off the border;
+    None if not cut.
+    """
     from_border = np.minimum(hull, np.array(shape) - 1 - hull).min(axis=1)
     rim = hull[from_border > border_px]
     if from_border.min() > border_px or len(rim) < _RIM_CORNERS:
@@ -317,8 +357,8 @@ def _width(disc: Disc) -> int:
 
 
 def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
-    """Squared variation along the angle at every radius, without its slow part, grey levels², and whether the sample
-    lies inside the image, both (rays, radii); 0 outside.
+    """Squared variation along the angle at every radius, without its slow part, grey levels², and
+    whether the sample lies inside the image, both (rays, radii); 0 outside.
     """
     angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
     cols = (disc.col_c + radii[None, :] * np.cos(angles)[:, None]).astype(np.float32)
@@ -337,8 +377,9 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
 
 
 def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | None:
-    """The rim at which the pattern ends, `low` to `high` times the disc's radius; None without pattern. The profile
-    averages all angles: a wrong centre smears the end, so the right one has the greatest sharpness.
+    """The rim at which the pattern ends, `low` to `high` times the disc's radius; None without
+    pattern. The profile averages all angles: a wrong centre smears the end, so the right one has
+    the greatest sharpness.
     """
     n = _width(disc)
     radii = np.arange(
@@ -363,7 +404,10 @@ def _end_of_pattern(grey: U8, disc: Disc, low: float, high: float) -> _Rim | Non
 
 
 def marker_pitch_px(grey: U8, disc: Disc) -> float:
-    """Distance between neighbouring pin tips in the middle of the disc, px. Raises ConfigError without a pattern."""
+    """Distance between neighbouring pin tips in the middle of the disc, px.
+
+    Raises ConfigError without a pattern.
+    """
     try:
         return _spectral_pitch_px(grey, disc)
     except ConfigError:
@@ -374,8 +418,9 @@ def marker_pitch_px(grey: U8, disc: Disc) -> float:
 
 
 def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
-    """The marker pitch from the pattern's spectrum, px: the lattice's first ring lies at 2 / (√3 pitch), in the mean
-    power over all directions in the middle of the disc, where perspective stretches it least.
+    """The marker pitch from the pattern's spectrum, px: the lattice's first ring lies at 2 / (√3
+    pitch), in the mean power over all directions in the middle of the disc, where perspective
+    stretches it least.
     """
     half = max(int(0.5 * disc.radius_px), 8)
     row, col = round(disc.row_c), round(disc.col_c)
@@ -436,7 +481,9 @@ class Pattern:
 class View:
     """How well an image shows the pattern."""
 
-    focus: float  # RMS of the Laplacian over the pattern's: greatest when sharpest (Subbarao, Choi and Nikzad 1993)
+    # RMS of the Laplacian over the pattern's: greatest when sharpest (Subbarao,
+    # Choi and Nikzad 1993).
+    focus: float
     contrast_grey: float  # of the markers: 5th to 95th percentile, without slow variation of light
     saturated_part: float  # of the disc, at 250 grey levels or above
 
@@ -451,13 +498,17 @@ class View:
 
 
 def find_pattern(grey: U8, stated: Disc | None = None) -> Pattern:
-    """Find the disc, if it is not stated, and the pitch. Raises ConfigError if the image shows none."""
+    """Find the disc, if it is not stated, and the pitch.
+
+    Raises ConfigError if the image shows none.
+    """
     if stated is not None:
         return Pattern(visible_disc(grey, stated), marker_pitch_px(grey, stated))
     scale = max(grey.shape[0] / _PATTERN_ROWS, 1.0)
     if min(grey.shape) < 16 * scale:
         raise ConfigError(
-            f"found no visible circle: the image is too small or too narrow ({grey.shape[1]}x{grey.shape[0]} px)"
+            "found no visible circle: the image is too small or too narrow "
+            f"({grey.shape[1]}x{grey.shape[0]} px)"
         )
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     disc = find_disc(np.asarray(small, np.uint8))

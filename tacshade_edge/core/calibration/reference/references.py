@@ -1,5 +1,5 @@
-"""Make a reference from images of the unloaded skin, and check it, most of all for a load: a free skin is alike all
-around its centre and changes smoothly outwards.
+"""Make a reference from images of the unloaded skin, and check it, most of all for a load: a free
+skin is alike all around its centre and changes smoothly outwards.
 """
 
 from __future__ import annotations
@@ -26,30 +26,38 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Polarity
 
-# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the disc, because a fine
-# pattern makes every ring uneven), is this large (mm² on the nominal skin) and alone: a square lattice makes four such
-# patches, a quarter turn apart. tools/studies/calibration.py measures what this finds, rightly and wrongly.
+# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the
+# disc, because a fine pattern makes every ring uneven), is this large (mm² on the nominal skin) and
+# alone: a square lattice makes four such patches, a quarter turn apart.
+# tools/studies/calibration.py measures what this finds, rightly and wrongly.
 LOAD_GREY, LOAD_DEVIATIONS, LOAD_MM2 = 22.0, 3.5, 9.0
-# A load in the middle is alike all around too, but bends the radial profile (second difference over two rings). The
-# outer rings are left out: light at the rim brightens and bends them without a load.
+# A load in the middle is alike all around too, but bends the radial profile (second difference over
+# two rings). The outer rings are left out: light at the rim brightens and bends them without a
+# load.
 RINGS, MIDDLE_RINGS, LOAD_BEND_GREY = 12, 10, 22.0
 PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, network=None)
-"""Profile of the maps that compare references and presses: of whole images, and without a network."""
+"""Profile of the maps that compare references and presses:
+of whole images, and without a network.
+"""
 ASSUMED_NOISE_GREY, NOISE_REFERENCES = 1.0, 3
 """Noise of g, RMS in grey levels, assumed for fewer references than the second."""
-# A reference of which more has changed against the mean of all is pressed: a tip that sways reaches 0.22 (raw TacTips).
+# A reference of which more has changed against the mean of all is pressed:
+# a tip that sways reaches 0.22 (raw TacTips).
 LOADED_PART = 0.23
 # The old refit does not hold for a new reference with less than this part of the old contrast.
 _WORN_CONTRAST = 0.6
-# Part of the disc's radius in which a reference shows its polarity, relative width (log) of the ring around the
-# pattern's fundamental, and the least skewness of white pins: 0.72 to 1.3 on TacTips, simulated and real, 0.55 at most
-# on others (0.19 to 0.55 on square lattices, below 0 on hexagonal ones).
+# Part of the disc's radius in which a reference shows its polarity, relative width (log) of the
+# ring around the pattern's fundamental, and the least skewness of white pins: 0.72 to 1.3 on
+# TacTips, simulated and real, 0.55 at most on others (0.19 to 0.55 on square lattices, below 0 on
+# hexagonal ones).
 _MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
 
 
 def reference_load_reason(preprocessor: Preprocessor) -> str:
-    """A message why the reference seems to have been taken under load; empty if it does not. The ratio of white shows
-    objects that press between markers, the spacing of the markers wide ones.
+    """A message why the reference seems to have been taken under load; empty if it does not.
+
+    The ratio of white shows objects that press between markers,
+    the spacing of the markers wide ones.
     """
     g0, voting, geometry = (
         preprocessor.reference_g,
@@ -67,9 +75,15 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
     lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
     area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
     if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
-        return f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin around the centre"
+        return (
+            f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin "
+            "around the centre"
+        )
     if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
-        return f"the skin's centre seems pressed in the reference: its profile bends by {bend:.0f} grey levels"
+        return (
+            "the skin's centre seems pressed in the reference: "
+            f"its profile bends by {bend:.0f} grey levels"
+        )
     return spacing.widening_reason(preprocessor.calibration.reference_grey, geometry)
 
 
@@ -85,7 +99,9 @@ def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
 
 
 def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
-    """The values `turns` quarter turns around the disc's centre from each cell; beyond the grid, its border's."""
+    """The values `turns` quarter turns around the disc's centre from each cell;
+    beyond the grid, its border's.
+    """
     rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
     cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
     for _ in range(turns):
@@ -97,7 +113,9 @@ def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
 
 
 def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
-    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle, from soft rings."""
+    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle,
+    from soft rings.
+    """
     rho, profile = np.sqrt(rho2) * RINGS, []
     for ring in range(MIDDLE_RINGS):
         weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
@@ -108,7 +126,9 @@ def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
 
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
-    """Replace the reference by the mean of binarised images, and the noise by the deviation of g between them."""
+    """Replace the reference by the mean of binarised images,
+    and the noise by the deviation of g between them.
+    """
     prepared = Preprocessor(calibration, PROFILE)
     whites = [prepared.binarised(grey) for grey in greys]
     noise = calibration.noise_grey
@@ -131,8 +151,10 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
 
 
 def shown_polarity(calibration: Calibration) -> Polarity:
-    """The likely polarity of a reference: dark if white pins stand on black, as a TacTip's do. Pins stand on a
-    hexagonal lattice, so the third moment of the pattern's fundamental has the sign of its peaks.
+    """The likely polarity of a reference: dark if white pins stand on black, as a TacTip's do.
+
+    Pins stand on a hexagonal lattice, so the third moment of the pattern's fundamental has the sign
+    of its peaks.
     """
     disc, pitch_px = calibration.geometry.disc, calibration.pitch_px
     shape = height, width = calibration.image_height_px, calibration.image_width_px
@@ -159,15 +181,17 @@ def shown_polarity(calibration: Calibration) -> Polarity:
 def check_references(
     calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Warn of differences between the images of a reference, and of a load if that is allowed. Raises ConfigError on a
-    load that is not, and on a camera that moved too far.
+    """Warn of differences between the images of a reference, and of a load if that is allowed.
+
+    Raises ConfigError on a load that is not, and on a camera that moved too far.
     """
     names = names or [str(number) for number in range(1, len(greys) + 1)]
     disc, preprocessor = calibration.geometry.disc, Preprocessor(calibration, PROFILE)
     warnings, gate = [], ContactGate(preprocessor)
     if len(greys) < NOISE_REFERENCES:
         warnings.append(
-            f"references: found {len(greys)}, expected 5 to measure noise; assuming {ASSUMED_NOISE_GREY} grey levels"
+            f"references: found {len(greys)}, expected 5 to measure noise; assuming "
+            f"{ASSUMED_NOISE_GREY} grey levels"
         )
     first = camera.look(greys[0], disc, calibration.pitch_px)
     for name, grey in zip(names[1:], greys[1:], strict=True):
@@ -175,7 +199,8 @@ def check_references(
         shift = camera.shift_reason(drift, disc)
         if camera.shifted_too_far(drift, disc):
             raise ConfigError(
-                f"reference {name}: {shift} since reference {names[0]}; fasten the camera and take all references again"
+                f"reference {name}: {shift} since reference {names[0]}; fasten the camera and "
+                "take all references again"
             )
         if change := shift or drift.light_reason:
             warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
@@ -200,8 +225,10 @@ def rezero(
     allow_loaded: bool = False,
     names: Sequence[str] = (),
 ) -> Calibration:
-    """Replace a calibration's reference by new images of the unloaded skin. Raises ConfigError if an image cannot be
-    used, the camera moved too far, or something touches the skin and that is not allowed.
+    """Replace a calibration's reference by new images of the unloaded skin.
+
+    Raises ConfigError if an image cannot be used, the camera moved too far, or something touches
+    the skin and that is not allowed.
     """
     if not images:
         raise ConfigError("found no image to take a reference from, expected at least one")
@@ -222,7 +249,10 @@ def rezero(
                 f"{lead}{shift}; fasten the camera in its old position, or calibrate again"
             )
         if drift.contrast < _WORN_CONTRAST:
-            found = f"found {drift.contrast:.2f} times the old reference's contrast, expected at least {_WORN_CONTRAST}"
+            found = (
+                f"found {drift.contrast:.2f} times the old reference's contrast, expected at least "
+                f"{_WORN_CONTRAST}"
+            )
             raise ConfigError(f"{lead}{found} times; clean or focus the lens, or calibrate again")
     renewed = with_reference(replace(calibration, crc32=0), greys)
     if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
@@ -232,8 +262,9 @@ def rezero(
 
 # Side of a block: its mean reduces noise to an eighth, but hardly reduces a shift of the pattern.
 BLOCK_PX = 8
-# Something moves if the change exceeds that of the resting skin by this factor and these grey levels: 0.05 mm of a
-# ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors, 640x480, 20 frames).
+# Something moves if the change exceeds that of the resting skin by this factor and these grey
+# levels: 0.05 mm of a ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors,
+# 640x480, 20 frames).
 _REST_FACTOR, _REST_GREY = 1.3, 0.5
 REST_MOST_GREY = 8.0
 """Grey levels above the `motion_grey` of any usable camera at rest."""
@@ -245,29 +276,35 @@ def block_means(grey: U8) -> F32:
 
 
 def motion_grey(blocks: Sequence[F32]) -> float:
-    """Change over time of the block that changed most, less the change shared by all, over `block_means` of images."""
+    """Change over time of the block that changed most, less the change shared by all,
+    over `block_means` of images.
+    """
     change = np.stack(blocks) - blocks[0]
     change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
     return float((change.max(axis=0) - change.min(axis=0)).max())
 
 
 def stands_still(motion: float, rest: float) -> bool:
-    """Whether a `motion_grey` is that of a still image, given that of the untouched skin over as many images."""
+    """Whether a `motion_grey` is that of a still image,
+    given that of the untouched skin over as many images.
+    """
     return motion <= _REST_FACTOR * rest + _REST_GREY
 
 
-# An area as large as the gate requires may differ by this much from the origin, less the common change: more than an
-# aged lamp causes, less than a lost marker, and far below the gate's least 10, so nothing that was followed looks like
-# a contact when it goes. Beyond the common change, frames are degraded against the original reference.
+# An area as large as the gate requires may differ by this much from the origin, less the common
+# change: more than an aged lamp causes, less than a lost marker, and far below the gate's least 10,
+# so nothing that was followed looks like a contact when it goes. Beyond the common change, frames
+# are degraded against the original reference.
 PATCH_GREY, COMMON_GREY = 4.0, DRIFT_LEVELS
-# A smaller change is not worth a new calibration number (grey levels, and multiples of the noise of g).
+# A smaller change is not worth a new calibration number (grey levels,
+# and multiples of the noise of g).
 RENEW_GREY, RENEW_NOISE = 2.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """The difference between two references: drift, the change of g that all skin shares, the greatest beside it on a
-    patch.
+    """The difference between two references: drift, the change of g that all skin shares, the
+    greatest beside it on a patch.
     """
 
     drift: Drift
@@ -277,8 +314,8 @@ class Distance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """The renewed reference (None: the present one stays), the images' distance from the origin (None: one cannot be
-    compared), and the bound exceeded or why an image is invalid.
+    """The renewed reference (None: the present one stays), the images' distance from the origin
+    (None: one cannot be compared), and the bound exceeded or why an image is invalid.
     """
 
     calibration: Calibration | None
@@ -301,9 +338,10 @@ def bounds(disc: Disc) -> dict[str, float]:
 
 
 def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
-    """Renew the current reference from untouched images (at least one) within the bounds around the origin's. Ageing
-    light changes the image smoothly and hardly affects g; an object that rests on the skin, a lost marker or dirt
-    change a patch. The bounds limit the whole change since the origin, so that nothing creeps in.
+    """Renew the current reference from untouched images (at least one) within the bounds around the
+    origin's. Ageing light changes the image smoothly and hardly affects g; an object that rests on
+    the skin, a lost marker or dirt change a patch. The bounds limit the whole change since the
+    origin, so that nothing creeps in.
     """
     greys = [greyscale.to_grey(image) for image in images]
     judges = plain_judges(origin, unloaded=True)
@@ -334,10 +372,16 @@ def beyond(distance: Distance, disc: Disc) -> Reason | None:
     if reason := camera.shift_reason(drift, disc) or drift.light_reason:
         return reason
     if abs(distance.common_grey) > COMMON_GREY:
-        text = f"light or focus: the white ratio changed by {distance.common_grey:.0f} levels everywhere"
+        text = (
+            f"light or focus: the white ratio changed by {distance.common_grey:.0f} levels "
+            "everywhere"
+        )
         return Reason(ReasonCode.LIGHT_DRIFT, text)
     if distance.patch_grey > PATCH_GREY:
-        text = f"a resting load, dirt or damage changed a patch of the skin by {distance.patch_grey:.1f} grey levels"
+        text = (
+            "a resting load, dirt or damage changed a patch of the skin by "
+            f"{distance.patch_grey:.1f} grey levels"
+        )
         return Reason(ReasonCode.PATCH_CHANGED, text)
     return None
 

@@ -20,8 +20,8 @@ _NEIGHBOURS = 3
 _USUAL_DISTANCE, _LEAST_GROWTH = 0.7, 0.75
 # Places and sizes of a press that are tried, in radii of the visible circle.
 _PLACES, _REACH, _SIZES = np.linspace(-0.6, 0.6, 7), 0.75, (0.3, 0.45, 0.6)
-# Fits with weights (Cauchy's) that ignore single markers: their number, deviations that still count,
-# the least deviation of a log spacing, which counts for every marker, and the most.
+# Fits with weights (Cauchy's) that ignore single markers: their number, deviations that still
+# count, the least deviation of a log spacing, which counts for every marker, and the most.
 _FITS, _DEVIATIONS, _LEAST_DEVIATION, _MOST_LOSS = 4, 2.0, 0.003, 0.15
 PRESSED, _SURE_LOG_FACTOR = 0.035, 0.3
 """A `strength` that no free skin has: 0.029 at most, of a jittered spiral through a fisheye lens.
@@ -41,7 +41,9 @@ class Widening:
 
     @property
     def strength(self) -> float:
-        """How surely this is a press: the log of the factor, up to that of a sure one, times the part."""
+        """How surely this is a press: the log of the factor, up to that of a sure one,
+        times the part.
+        """
         return self.part * min(math.log(self.factor), _SURE_LOG_FACTOR)
 
 
@@ -98,9 +100,9 @@ def log_spacing(field: MarkerField) -> F64:
 
 def log_growth(geometry: Geometry, rho: F64) -> F64:
     """By how much the log spacing of an even lattice grows from the middle to `rho`, radii of the
-    visible circle, in the view of an equidistant fisheye lens, through which it grows least: a point
-    of a dome at polar angle θ, the camera c behind its centre, is seen at an angle ψ, and areas grow
-    as dψ/dθ ψ / sinθ.
+    visible circle, in the view of an equidistant fisheye lens, through which it grows least: a
+    point of a dome at polar angle θ, the camera c behind its centre, is seen at an angle ψ, and
+    areas grow as dψ/dθ ψ / sinθ.
     """
     if geometry.skin == "pad":
         return np.zeros_like(rho)

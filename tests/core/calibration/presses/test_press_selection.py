@@ -231,7 +231,9 @@ Change = Callable[[PressObservation, float], PressObservation]
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_true_depths_agree_and_false_ones_do_not(seed: int) -> None:
-    """0.25 mm is what a `good` calibration may have (quality.py); depths 0.6 mm off must not pass for one."""
+    """0.25 mm is what a `good` calibration may have (quality.py);
+    depths 0.6 mm off must not pass for one.
+    """
     presses, geometry = observed(seed)
     scale = skin_scale(geometry)
     assert agreement_mae_mm(presses, geometry) < 0.25 * scale
@@ -292,7 +294,9 @@ def most(trials: int, rate: float) -> int:
 
 
 def found_and_others(change: Change) -> tuple[int, int, int]:
-    """Presses that were made wrong, those of them that are found, and others that are called wrong besides."""
+    """Presses that were made wrong, those of them that are found,
+    and others that are called wrong besides.
+    """
     trials = hits = others = 0
     for seed in SEEDS:
         presses, geometry = observed(seed)
@@ -307,7 +311,9 @@ def found_and_others(change: Change) -> tuple[int, int, int]:
 
 
 def test_good_presses_pass() -> None:
-    """Of 720 presses `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` calls one wrong."""
+    """Of 720 presses `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400`
+    calls one wrong.
+    """
     false = sum(len(outliers(*observed(seed))) for seed in SEEDS)
     assert false <= most(len(SEEDS) * PRESSES, 1 / 720)
 

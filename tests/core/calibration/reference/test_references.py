@@ -58,7 +58,9 @@ SENSOR = sensor_of(HALF)
 
 
 def test_light_at_the_rim_is_no_load() -> None:
-    """LED rings make the skin next to them brighter: its profile rises by itself over the last two of twelve rings."""
+    """LED rings make the skin next to them brighter:
+    its profile rises by itself over the last two of twelve rings.
+    """
     sensor = OtherSensor(other_model(33))
     calibrate(sensor_of(sensor.model), [sensor.frame((), 5).image])  # not refused
     pressed = sensor.frame(
@@ -70,7 +72,9 @@ def test_light_at_the_rim_is_no_load() -> None:
 
 @pytest.mark.parametrize("seed", [0, 2, 4])
 def test_a_load_is_distinguished_from_none_on_other_sensors(seed: int) -> None:
-    """Of 32 loads 3 mm deep `python -m tools.studies.calibration --sensors 30 --detect 16 --first 8400` misses none."""
+    """Of 32 loads 3 mm deep `python -m tools.studies.calibration --sensors 30 --detect 16 --first
+    8400` misses none.
+    """
     model = random_model(seed, 240, 320)
     calibrate(sensor_of(model), references(model, 3))  # not refused
     for x_mm in (0.0, 5.0):
@@ -294,7 +298,9 @@ def test_damage_is_not_followed_however_slowly_it_comes(
 def test_an_object_laid_on_over_hours_is_found_as_one_that_comes_at_once(
     name: str, x_mm: float, model: SensorModel
 ) -> None:
-    """A fiftieth of a millimetre at a time: contact is found at most 0.15 mm later, and a depth is 0.07 mm off."""
+    """A fiftieth of a millimetre at a time: contact is found at most 0.15 mm later,
+    and a depth is 0.07 mm off.
+    """
     origin = calibrated(model, 0)
 
     def images(depth_mm: float, seed: int = 0) -> list[U8]:

@@ -37,7 +37,9 @@ def lattice(pitch: float, turn_deg: float, count: int = 16) -> F64:
 
 
 def seen(arc_mm: F64, geometry: Geometry) -> F64:
-    """Where a camera sees points of the skin, given along arcs from the middle of a dome, px (row, col)."""
+    """Where a camera sees points of the skin, given along arcs from the middle of a dome, px (row,
+    col).
+    """
     far = np.hypot(arc_mm[:, 0], arc_mm[:, 1])
     along = arc_mm / np.maximum(far, 1e-12)[:, None]
     if geometry.skin == "pad":
@@ -59,7 +61,9 @@ def field(points_px: F64) -> MarkerField:
 
 
 def bulged(points_px: F64, row: float, col: float, factor: float, size: float) -> F64:
-    """Move points away from a place (radii of the circle), where their spacing grows by a factor."""
+    """Move points away from a place (radii of the circle),
+    where their spacing grows by a factor.
+    """
     unit = (points_px - (DISC.row_c, DISC.col_c)) / DISC.radius_px - (row, col)
     near = np.exp(-(np.hypot(unit[:, 0], unit[:, 1]) ** 2) / size**2)
     moved: F64 = points_px + DISC.radius_px * (factor - 1) * near[:, None] * unit
@@ -75,7 +79,9 @@ def test_a_free_lattice_shows_no_press(geometry: Geometry, turn_deg: float) -> N
 
 
 def projected(theta: float, phi: float) -> F64:
-    """Where an equidistant lens sees a point of the skin of `DOME`: angle from the axis, in its direction."""
+    """Where an equidistant lens sees a point of the skin of `DOME`:
+    angle from the axis, in its direction.
+    """
     r, c = DOME.skin_radius_mm, DOME.camera_distance_mm or 0.0
     psi = math.atan2(r * math.sin(theta), r * math.cos(theta) + c)
     seen_at: F64 = psi * np.array((math.cos(phi), math.sin(phi)))
