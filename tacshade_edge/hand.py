@@ -82,7 +82,12 @@ def _patches(finger: Finger) -> list[tuple[int, Patch]]:
         (
             o.id,
             Patch(
-                *(o.centroid_mm, o.normal, finger.axis, o.shear_mm, o.depth_max_mm, o.twist_deg),
+                o.centroid_mm,
+                o.normal,
+                finger.axis,
+                o.shear_mm,
+                o.depth_max_mm,
+                o.twist_deg,
                 slips=o.slip == Slip.FULL,
             ),
         )
@@ -211,9 +216,8 @@ def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
     each made exactly when it is due.
     """
     aggregator = HandAggregator(tuple(fingers))
-    reports = heapq.merge(
-        *(zip(own, repeat(name)) for name, own in fingers.items()), key=lambda each: each[0][0]
-    )
+    named = [zip(own, repeat(name)) for name, own in fingers.items()]
+    reports = heapq.merge(*named, key=lambda each: each[0][0])
     now_ns = wall_minus_t_ns = 0
     for (t_ns, wall_ns, finger), name in reports:
         aggregator.listen(True, t_ns)

@@ -47,7 +47,9 @@ _COLOURS: Final = [
 ]
 _FLOAT: Final = PackedElementFieldNumericType.Float32
 _CLOUD_FIELDS: Final = [
-    *(PackedElementField(name=axis, offset=4 * i, type=_FLOAT) for i, axis in enumerate("xyz")),
+    PackedElementField(name="x", offset=0, type=_FLOAT),
+    PackedElementField(name="y", offset=4, type=_FLOAT),
+    PackedElementField(name="z", offset=8, type=_FLOAT),
     PackedElementField(name="object", offset=12, type=PackedElementFieldNumericType.Uint16),
 ]
 _CLOUD_POINT: Final = np.dtype([("xyz", "<f4", 3), ("object", "<u2")])

@@ -258,15 +258,15 @@ class Live:
             return f"no disc: {self._no_pattern} | mean grey {grey.mean():.0f}"
         seen = view(grey, self._pattern)
         self._focus_best = max(self._focus_best, seen.focus)
-        return " | ".join(
-            (
-                *((seen.advice,) if seen.advice else ()),
-                f"disc {self._pattern.disc.radius_px:.0f} px",
-                f"focus {seen.focus:.3f} (best {self._focus_best:.3f})",
-                f"contrast {seen.contrast_grey:.0f}",
-                f"saturated {100 * seen.saturated_part:.0f} %",
-            )
-        )
+        figures = [
+            f"disc {self._pattern.disc.radius_px:.0f} px",
+            f"focus {seen.focus:.3f} (best {self._focus_best:.3f})",
+            f"contrast {seen.contrast_grey:.0f}",
+            f"saturated {100 * seen.saturated_part:.0f} %",
+        ]
+        if seen.advice:
+            figures.insert(0, seen.advice)
+        return " | ".join(figures)
 
 
 def _jpeg(grey: U8, disc: Disc | None) -> bytes:

@@ -341,5 +341,16 @@ def _not_reconstructed(frame: Frame, reason: Reason) -> Reconstruction:
     """The invalid result of a frame whose disc is unknown."""
     height = HeightMap(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), 0.0, 0.0, 1.0)
     cloud = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
-    known = (frame.seq, frame.t_ns, frame.wall_ns, "")
-    return Reconstruction(*known, False, reason, False, False, None, height, cloud)
+    return Reconstruction(
+        seq=frame.seq,
+        t_ns=frame.t_ns,
+        wall_ns=frame.wall_ns,
+        profile="",
+        valid=False,
+        reason=reason,
+        contact=False,
+        saturated=False,
+        degraded=None,
+        height=height,
+        cloud=cloud,
+    )

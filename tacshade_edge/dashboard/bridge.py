@@ -59,6 +59,10 @@ class ReadOnly:
         return data[:end]
 
 
+_CONTINUES: Final = 0x80
+"""The bit of a length's byte after which another follows (MQTT 5, 1.5.5)."""
+
+
 def _body(data: bytes, start: int) -> tuple[int, int] | None:
     """Return where the body of the packet at `start` begins and ends; None while incomplete.
 
@@ -66,12 +70,12 @@ def _body(data: bytes, start: int) -> tuple[int, int] | None:
     """
     size = 0
     for place, byte in enumerate(data[start + 1 : start + 5]):
-        size |= (byte & 0x7F) << 7 * place
+        size |= (byte & ~_CONTINUES) << 7 * place
         if size > PACKET_BYTES_MAX:
             raise DecodeError(
                 f"found a packet of more than {PACKET_BYTES_MAX} bytes, expected at most so many"
             )
-        if not byte & 0x80:
+        if not byte & _CONTINUES:
             begin = start + place + 2
             return (begin, begin + size) if len(data) >= begin + size else None
     if len(data) >= start + 5:

@@ -321,7 +321,10 @@ async def _replaying(path: Path, broker: Broker) -> AsyncIterator[asyncio.subpro
         PLAYED_AS,
     )
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "tacshade_edge", *words),
+        sys.executable,
+        "-m",
+        "tacshade_edge",
+        *words,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.DEVNULL,
         stderr=asyncio.subprocess.PIPE,

@@ -72,9 +72,10 @@ class Bounds:
         self.turned_away = 0
 
     def admit(self, connection: socket.socket) -> bool:
-        return self._connections.admit(connection) or not self._turn_away(
-            f"{CONNECTIONS_MAX} connections"
-        )
+        if self._connections.admit(connection):
+            return True
+        self._turn_away(f"{CONNECTIONS_MAX} connections")
+        return False
 
     def admit_page(self, connection: ServerConnection) -> str:
         """Count a connection as a page; return why it is rejected when too many are open,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+from typing import Final
 
 from tacshade_edge.reasons import Reason, ReasonCode
 
@@ -124,14 +125,20 @@ def no_answer_fix(tls_ca: str | None) -> str:
     return asked if tls_ca else f"{asked} If the port is a TLS port (8883), set mqtt.ca_file"
 
 
+# Reason codes of CONNACK (MQTT 5, 3.2.2.2).
+_UNSUPPORTED_VERSION: Final = 0x84
+_BAD_USER_NAME_OR_PASSWORD: Final = 0x86
+_NOT_AUTHORISED: Final = 0x87
+
+
 def is_not_authorised(code: int) -> bool:
     """Whether the reason code of the broker's CONNACK means that it rejects the user."""
-    return code in (0x86, 0x87)  # bad user name or password, not authorised
+    return code in (_BAD_USER_NAME_OR_PASSWORD, _NOT_AUTHORISED)
 
 
 def is_other_version(code: int) -> bool:
     """Whether the reason code of the broker's CONNACK means that it does not support MQTT 5."""
-    return code == 0x84
+    return code == _UNSUPPORTED_VERSION
 
 
 def refusal_fix(code: int, username: str | None) -> str:

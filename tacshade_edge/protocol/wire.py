@@ -11,6 +11,7 @@ import numpy as np
 from tacshade_edge.protocol import wire_format
 from tacshade_edge.protocol.wire_format import (
     CloudMessage,
+    Header,
     HeightMessage,
     ShearMessage,
     SigmaMessage,
@@ -20,16 +21,12 @@ from tacshade_edge.types import F32, U16, Pose, Reconstruction
 
 __all__ = ["CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage", "decode"]
 
-HEAD, HEADER_BYTES, PAYLOAD_BYTES_MAX = (
-    wire_format.HEAD,
-    wire_format.HEADER_BYTES,
-    wire_format.PAYLOAD_BYTES_MAX,
-)
+HEAD = wire_format.HEAD
+HEADER_BYTES = wire_format.HEADER_BYTES
+PAYLOAD_BYTES_MAX = wire_format.PAYLOAD_BYTES_MAX
 decode = wire_format.decode
-_LIMIT_MM, _PER_MM = (
-    np.float32(wire_format.STEPS_MAX * wire_format.SCALE_MM),
-    np.float32(1 / wire_format.SCALE_MM),
-)
+_LIMIT_MM = np.float32(wire_format.STEPS_MAX * wire_format.SCALE_MM)
+_PER_MM = np.float32(1 / wire_format.SCALE_MM)
 _OUTSIDE = np.float32(wire_format.OUTSIDE)
 
 
@@ -49,7 +46,7 @@ def encode_height(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
 
     Raises ValueError for a grid of more than 65535 rows or columns.
     """
-    return _pack_grid(1, result, result.height.height_mm, taken)
+    return _pack_grid(wire_format.HEIGHT, result, result.height.height_mm, taken)
 
 
 def encode_shear(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
@@ -57,13 +54,13 @@ def encode_shear(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
     x, y of each cell, encoded like heights.
     """
     assert result.shear_mm is not None
-    return _pack_grid(3, result, result.shear_mm, taken)
+    return _pack_grid(wire_format.SHEAR, result, result.shear_mm, taken)
 
 
 def encode_sigma(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
     """The ``sigma`` payload of a reconstruction with sigma, encoded like heights."""
     assert result.sigma_mm is not None
-    return _pack_grid(4, result, result.sigma_mm, taken)
+    return _pack_grid(wire_format.SIGMA, result, result.sigma_mm, taken)
 
 
 def encode_cloud(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
@@ -79,16 +76,21 @@ def encode_map_cloud(
     """The ``map/cloud`` payload: a ``cloud`` of points (N, 3) in the base frame,
     with the revision as its sequence.
     """
-    flags = dict.fromkeys(("invalid", "saturated", "degraded", "touched"), False)
-    flags["contact"] = True
-    times = {
-        "seq": revision,
-        "calibration_crc32": calibration_crc32,
-        "t_ns": t_ns,
-        "wall_ns": wall_ns,
-    }
+    fields = Header(
+        seq=revision,
+        calibration_crc32=calibration_crc32,
+        t_ns=t_ns,
+        wall_ns=wall_ns,
+        contact=True,
+        invalid=False,
+        saturated=False,
+        degraded=False,
+        touched=False,
+        pose=None,
+        pose_error_us=0,
+    )
     shape, grid, data = _cloud(points_mm, np.ones(len(points_mm), np.uint16))
-    return pack(wire_format.CLOUD, shape, grid, data, **times, **flags, pose=None, pose_error_us=0)
+    return pack(wire_format.CLOUD, shape, grid, data, fields)
 
 
 def _cloud(
@@ -121,18 +123,17 @@ def _pack(
     grid: tuple[float, float, float],
     data: bytes,
 ) -> bytes:
-    fields = {
-        "pose": None,
-        "pose_error_us": 0,
-        "seq": result.seq,
-        "t_ns": result.t_ns,
-        "wall_ns": result.wall_ns,
-    }
-    fields |= {
-        "contact": result.contact,
-        "invalid": not result.valid,
-        "saturated": result.saturated,
-        "degraded": result.degraded is not None,
-        "touched": result.touched,
-    }
-    return pack(kind, shape, grid, data, **{**fields, **taken})
+    fields = Header(
+        seq=result.seq,
+        calibration_crc32=taken["calibration_crc32"],
+        t_ns=result.t_ns,
+        wall_ns=result.wall_ns,
+        contact=result.contact,
+        invalid=not result.valid,
+        saturated=result.saturated,
+        degraded=result.degraded is not None,
+        touched=result.touched,
+        pose=taken.get("pose"),
+        pose_error_us=taken.get("pose_error_us", 0),
+    )
+    return pack(kind, shape, grid, data, fields)

@@ -40,6 +40,7 @@ _MAGIC: Final = b"TCSH"
 _RAW: Final = 0
 _FLAGS: Final = {"contact": 1, "invalid": 2, "saturated": 4, "degraded": 8, "touched": 32}
 _POSE: Final = 16
+_NO_POSE: Final = (0.0,) * 7
 
 # magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale |
 # pose | payload bytes
@@ -49,8 +50,8 @@ _POINT_BYTES, _LABEL_BYTES = 12, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Message:
-    """The fields of every kind.
+class Header:
+    """The fields of every kind of message.
 
     `seq` is the frame number modulo 2^32; `t_ns` and `wall_ns` are the capture time, on the
     sender's CLOCK_MONOTONIC and in Unix time. The reasons of the flags are in ``health`` and
@@ -73,7 +74,7 @@ class _Message:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _GridMessage(_Message):
+class _GridMessage(Header):
     """The grid of the kinds with a value per cell:
     cell (i, j) is image pixel (row0 + i·step_px, col0 + j·step_px).
     """
@@ -93,7 +94,7 @@ class HeightMessage(_GridMessage):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CloudMessage(_Message):
+class CloudMessage(Header):
     """A decoded ``cloud``: `points_mm`, read-only float32 (N, 3), are x, y, z in the sensor frame;
     `labels`, read-only uint16 (N,), are the object number of each point, from 1.
     """
@@ -121,44 +122,61 @@ class SigmaMessage(_GridMessage):
 
 
 Message = HeightMessage | CloudMessage | ShearMessage | SigmaMessage
+HEIGHT: Final = 1
 CLOUD: Final = 2
+SHEAR: Final = 3
+SIGMA: Final = 4
 _GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage], str, int]]] = {
-    1: (HeightMessage, "height_mm", 1),
-    3: (ShearMessage, "shear_mm", 2),
-    4: (SigmaMessage, "sigma_mm", 1),
+    HEIGHT: (HeightMessage, "height_mm", 1),
+    SHEAR: (ShearMessage, "shear_mm", 2),
+    SIGMA: (SigmaMessage, "sigma_mm", 1),
 }
 """The kinds with a value per cell: the message, its array, and the number of values per cell."""
 
 
 def pack(
-    kind: int, shape: tuple[int, int], grid: tuple[float, float, float], data: bytes, **fields: Any
+    kind: int,
+    shape: tuple[int, int],
+    grid: tuple[float, float, float],
+    data: bytes,
+    fields: Header,
 ) -> bytes:
     """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud),
-    data, and the fields of every kind; `seq`, `calibration_crc32` and `pose_error_us` need not fit
-    in 32 bits.
+    data, and the fields of every kind.
+
+    `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
     """
-    pose: Pose | None = fields["pose"]
-    flags = _POSE * (pose is not None)
+    flags = 0
     for name, bit in _FLAGS.items():
-        flags |= bit * fields[name]
+        if getattr(fields, name):
+            flags |= bit
+    if fields.pose is None:
+        error_us, pose = 0, _NO_POSE
+    else:
+        flags |= _POSE
+        error_us, pose = min(fields.pose_error_us, _U32), _seven(fields.pose)
     head = HEAD.pack(
-        *(_MAGIC, WIRE_VERSION, kind, _RAW, flags),
-        *(
-            fields["seq"] & _U32,
-            fields["calibration_crc32"] & _U32,
-            fields["t_ns"],
-            fields["wall_ns"],
-        ),
-        *(*shape, *grid, SCALE_MM),
-        0 if pose is None else min(fields["pose_error_us"], _U32),
-        *(
-            (0.0,) * 7
-            if pose is None
-            else (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
-        ),
+        _MAGIC,
+        WIRE_VERSION,
+        kind,
+        _RAW,
+        flags,
+        fields.seq & _U32,
+        fields.calibration_crc32 & _U32,
+        fields.t_ns,
+        fields.wall_ns,
+        *shape,
+        *grid,
+        SCALE_MM,
+        error_us,
+        *pose,
         len(data),
     )
     return b"".join((head, _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0), data))
+
+
+def _seven(pose: Pose) -> tuple[float, float, float, float, float, float, float]:
+    return pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz
 
 
 def decode(data: bytes | bytearray | memoryview) -> Message:
@@ -179,10 +197,14 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
     if flags & _POSE:
         _check_pose(fields[16:23])
         pose = Pose(t_ns, *fields[16:23])
-    common: dict[str, Any] = {
-        **{"seq": seq, "calibration_crc32": calibration, "t_ns": t_ns, "wall_ns": wall_ns},
-        **{name: bool(flags & bit) for name, bit in _FLAGS.items()},
-        **{"pose": pose, "pose_error_us": error_us if pose else 0},
+    common: dict[str, Any] = {name: bool(flags & bit) for name, bit in _FLAGS.items()}
+    common |= {
+        "seq": seq,
+        "calibration_crc32": calibration,
+        "t_ns": t_ns,
+        "wall_ns": wall_ns,
+        "pose": pose,
+        "pose_error_us": error_us if pose else 0,
     }
     if kind == CLOUD:
         n = rows | cols << 16

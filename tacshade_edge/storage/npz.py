@@ -37,17 +37,17 @@ _ENTRY: Final = b"PK\x01\x02"  # begins each entry of the directory, which zipfi
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError:
 # a flag or method zipfile lacks).
 _DAMAGE: Final = (
-    *(
-        LookupError,
-        ValueError,
-        TypeError,
-        EOFError,
-        RuntimeError,
-        MemoryError,
-        OverflowError,
-        struct.error,
-    ),
-    *(tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+    LookupError,
+    ValueError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
 )
 
 

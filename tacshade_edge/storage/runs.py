@@ -36,8 +36,19 @@ _ENCODERS = {HEIGHTS: wire.encode_height, CLOUDS: wire.encode_cloud, SHEARS: wir
 _PAYLOAD_BYTES_AT = 84
 _SUMMARY_BYTES_MAX = 1 << 28
 _OF_OBJECT = (
-    *("label", "centroid_mm", "extent_mm", "depth_max_mm", "area_mm2", "normal", "shear_mm"),
-    *("twist_deg", "id", "slip", "slip_mm_s", "name", "probability"),
+    "label",
+    "centroid_mm",
+    "extent_mm",
+    "depth_max_mm",
+    "area_mm2",
+    "normal",
+    "shear_mm",
+    "twist_deg",
+    "id",
+    "slip",
+    "slip_mm_s",
+    "name",
+    "probability",
 )
 _DIGITS = {"twist_deg": 3, "slip_mm_s": 3, "probability": 3}
 

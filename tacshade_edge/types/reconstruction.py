@@ -12,18 +12,21 @@ from tacshade_edge.reasons import Reason
 from tacshade_edge.types.geometry import F32, U16, Bool, frozen
 
 QUANTITIES = (
-    *(
-        "depth_mm",
-        "tilt_x_deg",
-        "tilt_y_deg",
-        "shear_x_mm",
-        "shear_y_mm",
-        "twist_deg",
-        "x_mm",
-        "y_mm",
-        "edge_deg",
-    ),
-    *("force_x_n", "force_y_n", "force_z_n", "torque_x_nmm", "torque_y_nmm", "torque_z_nmm"),
+    "depth_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+    "shear_x_mm",
+    "shear_y_mm",
+    "twist_deg",
+    "x_mm",
+    "y_mm",
+    "edge_deg",
+    "force_x_n",
+    "force_y_n",
+    "force_z_n",
+    "torque_x_nmm",
+    "torque_y_nmm",
+    "torque_z_nmm",
 )
 """Columns of LABELS.csv; the first six are also known without labels."""
 

@@ -144,8 +144,14 @@ def test_a_touch_is_taken_once_it_stands_still_and_only_if_it_is_another_one(ben
     moving = [(0.05, touched(x_px)) for x_px in range(60, 110, 5)]
     said = bench.run(
         bench.made.take_touches,
-        *((2, FREE), (2, touched(50)), (1, FREE), (2, touched(50)), (1, FREE)),
-        *(*moving, (2, touched(110)), (1, FREE)),
+        (2, FREE),
+        (2, touched(50)),
+        (1, FREE),
+        (2, touched(50)),
+        (1, FREE),
+        *moving,
+        (2, touched(110)),
+        (1, FREE),
         at_13="",
     )
     taken = [bench.folder.picture(path) for path in bench.folder.touch_pictures()]

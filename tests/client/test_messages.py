@@ -139,20 +139,16 @@ def test_every_vector_is_understood_or_refused(kind: str) -> None:
 @pytest.mark.parametrize(
     "topic",
     [
-        *(
-            "",
-            "tacshade",
-            "tacshade/left",
-            "tacshade/left/",
-            "other/left/height",
-            "tacshade/hand/height",
-        ),
-        *(
-            "tacshade/left/heights",
-            "tacshade/left/objects",
-            "tacshade/hand/left/height",
-            "tacshade/a b/height",
-        ),
+        "",
+        "tacshade",
+        "tacshade/left",
+        "tacshade/left/",
+        "other/left/height",
+        "tacshade/hand/height",
+        "tacshade/left/heights",
+        "tacshade/left/objects",
+        "tacshade/hand/left/height",
+        "tacshade/a b/height",
         "tacshade/" + 70 * "x" + "/height",
     ],
 )

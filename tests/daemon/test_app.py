@@ -52,13 +52,13 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
         wait_until(lambda: live.payloads("info"), 10, "info")
 
     script = [
-        *(
-            *paced(pictures.free, 20),
-            *paced(pictures.touched, 20),
-            DecodeError("torn"),
-            *paced(pictures.free, 10),
-        ),
-        *(*paced(pictures.black, 5), *paced(pictures.touched, 3), None),
+        *paced(pictures.free, 20),
+        *paced(pictures.touched, 20),
+        DecodeError("torn"),
+        *paced(pictures.free, 10),
+        *paced(pictures.black, 5),
+        *paced(pictures.touched, 3),
+        None,
     ]
     wall_before = time.time_ns()
     # An opening that waits until the daemon is connected, so that nothing is lost, then fails once.

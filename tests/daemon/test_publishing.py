@@ -229,8 +229,18 @@ def test_a_contact_begins_goes_on_and_ends(calibration: Calibration, pictures: A
         events.see(FrameResult(frame, calibration, result))
 
     for t_ms, result in (
-        *((0, free), (50, None), (100, touched), (120, free), (200, slides), (1000, touched)),
-        *((1050, None), (1200, None), (1240, free), (1300, free), (1400, free), (1500, touched)),
+        (0, free),
+        (50, None),
+        (100, touched),
+        (120, free),
+        (200, slides),
+        (1000, touched),
+        (1050, None),
+        (1200, None),
+        (1240, free),
+        (1300, free),
+        (1400, free),
+        (1500, touched),
     ):
         see(t_ms, result)
     times = [(one.type, one.id, one.t_ns, one.start_ns, one.end_ns) for one in sent]

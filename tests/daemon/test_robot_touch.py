@@ -27,9 +27,17 @@ from tools.testbed.patience import patience, wait_until
 NS = 1_000_000_000
 
 FREE = Reconstruction(
-    *(0, 0, 0, "fast", True, None, False, False, None),
-    HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1),
-    ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
+    seq=0,
+    t_ns=0,
+    wall_ns=0,
+    profile="fast",
+    valid=True,
+    reason=None,
+    contact=False,
+    saturated=False,
+    degraded=None,
+    height=HeightMap(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), 0, 0, 1),
+    cloud=ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16)),
 )
 
 

@@ -58,8 +58,13 @@ async def test_a_file_is_sent_once() -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        *("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/vendor/", "/vendor/vendored.md"),
-        *("/index.html/", "http://127.0.0.1/main.js"),
+        "/../server.py",
+        "/%2e%2e/server.py",
+        "//etc/passwd",
+        "/vendor/",
+        "/vendor/vendored.md",
+        "/index.html/",
+        "http://127.0.0.1/main.js",
     ],
 )
 async def test_what_is_not_in_the_table_does_not_exist(path: str) -> None:

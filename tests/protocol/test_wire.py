@@ -71,21 +71,21 @@ def from_vector(expect: dict[str, Any]) -> tuple[Reconstruction, Pose | None]:
     if shear.size or sigma.size:
         height = np.zeros((expect["rows"], expect["cols"]), np.float32)
     result = Reconstruction(
-        *(
-            expect["seq"],
-            expect["t_ns"],
-            expect["wall_ns"],
-            "fast",
-            not expect["invalid"],
-            None,
-            expect["contact"],
-        ),
+        seq=expect["seq"],
+        t_ns=expect["t_ns"],
+        wall_ns=expect["wall_ns"],
+        profile="fast",
+        valid=not expect["invalid"],
+        reason=None,
+        contact=expect["contact"],
         saturated=expect["saturated"],
         degraded=GLARE if expect["degraded"] else None,
         height=HeightMap(
             height.reshape(expect.get("rows", 1), -1),
             np.zeros((1, 1), np.bool_),
-            *(expect.get(k, 0.0) for k in ("row0", "col0", "step_px")),
+            expect.get("row0", 0.0),
+            expect.get("col0", 0.0),
+            expect.get("step_px", 0.0),
         ),
         cloud=ObjectCloud(points, np.array(expect.get("labels", []), np.uint16)),
         touched=expect["touched"],

@@ -275,18 +275,14 @@ def test_the_json_schema_accepts_the_default_file_and_refuses_mistakes() -> None
     )
     assert schema_errors(schema, yaml.safe_load(uncommented("rpicam")), schema) == []
     for wrong in (
-        *(
-            {"x": 1},
-            {"mqtt": {"port": 0}},
-            {"profile": "slow"},
-            {"source": {"kind": "usb"}},
-            {"mqtt": None},
-        ),
-        *(
-            {"profile": "auto"},
-            {"latency_budget_ms": 20},
-            {"profile": "auto", "latency_budget_ms": 0},
-        ),
+        {"x": 1},
+        {"mqtt": {"port": 0}},
+        {"profile": "slow"},
+        {"source": {"kind": "usb"}},
+        {"mqtt": None},
+        {"profile": "auto"},
+        {"latency_budget_ms": 20},
+        {"profile": "auto", "latency_budget_ms": 0},
     ):
         assert schema_errors(schema, good | wrong, schema), wrong
 
@@ -301,25 +297,17 @@ def test_the_schema_of_files_takes_one_sensor_and_several() -> None:
         == []
     )
     for wrong in (
-        *(
-            {"sensors": {}},
-            {"sensors": {"a b": sensor}},
-            {"sensors": {"a": {"source": {"kind": "simulated"}}}},
-        ),
-        *(
-            {"sensors": {"a": sensor}, "source": None},
-            {"sensors": {"a": sensor | {"sensor_id": "b"}}},
-            {"x": 1},
-        ),
-        *(
-            {"hand_id": "left"},
-            {"hand_T_sensor": finger["hand_T_sensor"]},
-            {"sensors": {"a": finger}},
-        ),
-        *(
-            {"hand_id": "left", "sensors": {"a": sensor}},
-            {"hand_id": "a b", "sensors": {"a": finger}},
-        ),
+        {"sensors": {}},
+        {"sensors": {"a b": sensor}},
+        {"sensors": {"a": {"source": {"kind": "simulated"}}}},
+        {"sensors": {"a": sensor}, "source": None},
+        {"sensors": {"a": sensor | {"sensor_id": "b"}}},
+        {"x": 1},
+        {"hand_id": "left"},
+        {"hand_T_sensor": finger["hand_T_sensor"]},
+        {"sensors": {"a": finger}},
+        {"hand_id": "left", "sensors": {"a": sensor}},
+        {"hand_id": "a b", "sensors": {"a": finger}},
         {"hand_id": "left", "sensors": {"a": finger | {"hand_T_sensor": [0, 0, 0]}}},
     ):
         assert schema_errors(schema, wrong, schema), wrong

@@ -62,7 +62,12 @@ def central(folder: Path) -> ConfiguredBroker:
         folder,
         "central",
         "127.0.0.1",
-        *["-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "subjectAltName=IP:127.0.0.1"],
+        "-CA",
+        "ca.pem",
+        "-CAkey",
+        "ca.key",
+        "-addext",
+        "subjectAltName=IP:127.0.0.1",
     )
     passwords = folder / "passwords"
     passwords.touch(0o600)
@@ -93,7 +98,7 @@ def board(folder: Path, name: str, central_port: int) -> ConfiguredBroker:
     """A board's broker, for this machine only, which sends to the central one
     with its own certificate.
     """
-    certify(folder, name, name, *["-CA", "ca.pem", "-CAkey", "ca.key"])
+    certify(folder, name, name, "-CA", "ca.pem", "-CAkey", "ca.key")
     text = (
         (FILES / "board.conf").read_text().replace("/etc/mosquitto/fleet/board", str(folder / name))
     )

@@ -25,21 +25,17 @@ def publish(topic: bytes, payload: bytes = b"x") -> bytes:
 
 _LONG = b"a" * 65_000
 BAD_TOPICS = (
-    *(
-        b"tacshade/\xff\xfe/state",
-        b"",
-        b"x",
-        b"/",
-        b"\0",
-        b"\xff" * 65_535,
-        b"tacshade/test/req/\xff" + _LONG,
-    ),
-    *(
-        b"tacshade/test/req/#",
-        b"tacshade/test/req/+/a",
-        b"tacshade/test/req/\x1b[2J",
-        b"tacshade/test/req/" + _LONG,
-    ),
+    b"tacshade/\xff\xfe/state",
+    b"",
+    b"x",
+    b"/",
+    b"\0",
+    b"\xff" * 65_535,
+    b"tacshade/test/req/\xff" + _LONG,
+    b"tacshade/test/req/#",
+    b"tacshade/test/req/+/a",
+    b"tacshade/test/req/\x1b[2J",
+    b"tacshade/test/req/" + _LONG,
 )
 BAD = b"".join(map(publish, BAD_TOPICS))
 """Topics that nobody may publish on or that nobody subscribed to."""

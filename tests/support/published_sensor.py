@@ -37,7 +37,16 @@ def calibration() -> Calibration:
     image = np.zeros((ROWS, COLS), np.uint8)
     geometry = Geometry(20.0, 30.0, 55.0, DISC)
     return Calibration(
-        *(geometry, "bright", "adaptive", ROWS, COLS, 20.0, image, image, 1.0, 15.0),
+        geometry=geometry,
+        polarity="bright",
+        binarisation="adaptive",
+        image_height_px=ROWS,
+        image_width_px=COLS,
+        pitch_px=20.0,
+        reference_white=image,
+        reference_grey=image,
+        noise_grey=1.0,
+        alpha=15.0,
         crc32=CRC,
     )
 
@@ -61,21 +70,19 @@ def bump(
     grid = HeightMap(height, height > 0.3 * depth_mm, 0.0, 0.0, float(step_px))
     contact = depth_mm > 0
     return Reconstruction(
-        *(
-            seq,
-            time.monotonic_ns(),
-            time.time_ns(),
-            "fast",
-            True,
-            None,
-            contact,
-            False,
-            None,
-            grid,
-            cloud,
-            objects,
-            60.0,
-        )
+        seq=seq,
+        t_ns=time.monotonic_ns(),
+        wall_ns=time.time_ns(),
+        profile="fast",
+        valid=True,
+        reason=None,
+        contact=contact,
+        saturated=False,
+        degraded=None,
+        height=grid,
+        cloud=cloud,
+        objects=objects,
+        volume_mm3=60.0,
     )
 
 

@@ -181,42 +181,21 @@ def _qemu(root: Path, version: str, out: Path) -> list[str]:
     """
     systemd = "systemd.unit=scenario.target systemd.show_status=0"
     share = "security_model=none,multidevs=remap"
-    return [
-        *("qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"),
-        *("-cpu", "max,-avx,-avx2,-fma"),  # emulating these takes ten times as long
-        *(
-            "-smp",
-            "2",
-            "-m",
-            "1536",
-            "-nodefaults",
-            "-no-user-config",
-            "-display",
-            "none",
-            "-no-reboot",
-        ),
-        *("-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"),
-        *(
-            "-append",
-            f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()} {systemd}",
-        ),
-        *("-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"),
-        *("-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"),
-        *("-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"),
-        *("-nic", "none"),
-        *(
-            "-fsdev",
-            f"local,id=root,path=/,readonly=on,{share}",
-            "-device",
-            "virtio-9p-pci,fsdev=root,mount_tag=root",
-        ),
-        *(
-            "-fsdev",
-            f"local,id=out,path={out},{share}",
-            "-device",
-            "virtio-9p-pci,fsdev=out,mount_tag=out",
-        ),
-    ]
+    kernel = f"console=ttyS0 quiet panic=-1 mitigations=off nokaslr audit=0 {_clock()} {systemd}"
+    command = ["qemu-system-x86_64", "-M", "q35,usb=off", "-accel", "tcg,thread=multi"]
+    command += ["-cpu", "max,-avx,-avx2,-fma"]  # emulating these takes ten times as long
+    command += ["-smp", "2", "-m", "1536", "-nodefaults", "-no-user-config"]
+    command += ["-display", "none", "-no-reboot", "-nic", "none"]
+    command += ["-kernel", f"{root}/boot/vmlinuz-{version}", "-initrd", f"{out}/.initrd"]
+    command += ["-append", kernel]
+    command += ["-chardev", f"file,id=console,path={out}/.console", "-serial", "chardev:console"]
+    command += ["-device", "virtio-serial-pci", "-chardev", "stdio,id=out,signal=off"]
+    command += ["-device", "virtconsole,chardev=out", "-device", "virtio-rng-pci"]
+    command += ["-fsdev", f"local,id=root,path=/,readonly=on,{share}"]
+    command += ["-device", "virtio-9p-pci,fsdev=root,mount_tag=root"]
+    command += ["-fsdev", f"local,id=out,path={out},{share}"]
+    command += ["-device", "virtio-9p-pci,fsdev=out,mount_tag=out"]
+    return command
 
 
 def _clock() -> str:

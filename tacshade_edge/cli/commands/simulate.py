@@ -43,8 +43,15 @@ MODELS = ("default", "tacshade")
 REFERENCES = 8
 """Number of reference images in a calibration set."""
 PRESS_KEYS = (
-    *("depth_mm", "x_mm", "y_mm", "rotation_deg", "tilt_x_deg", "tilt_y_deg"),
-    *("drag_x_mm", "drag_y_mm", "twist_deg"),
+    "depth_mm",
+    "x_mm",
+    "y_mm",
+    "rotation_deg",
+    "tilt_x_deg",
+    "tilt_y_deg",
+    "drag_x_mm",
+    "drag_y_mm",
+    "twist_deg",
 )
 """Values that describe a press, in ``scenes.csv`` and in the file of its ground truth."""
 

@@ -126,6 +126,15 @@ def _check_bits(bits: int) -> None:
         )
 
 
+# Markers of JPEG (ISO/IEC 10918-1, table B.1).
+_JPEG_MARKERS: Final = 0xFF00
+_JPEG_FILL: Final = 0xFFFF
+_JPEG_END: Final = 0xFFD9
+_JPEG_FRAMES: Final = frozenset(range(0xFFC0, 0xFFD0)) - {0xFFC4, 0xFFC8, 0xFFCC}
+"""Frame headers; the three others are tables, and one for extensions."""
+_JPEG_WITHOUT_LENGTH: Final = frozenset(range(0xFFD0, 0xFFD9)) | {0xFF01}
+
+
 def _jpeg(data: bytes) -> tuple[int, int] | None:
     """The size from the first frame header (ISO/IEC 10918-1, B.2.2),
     skipping segments before it by their length.
@@ -133,14 +142,14 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
     at = 2
     while True:
         (marker,) = struct.unpack_from(">H", data, at)
-        if marker == 0xFFFF:  # fill bytes
+        if marker == _JPEG_FILL:
             at += 1
-        elif 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+        elif marker in _JPEG_FRAMES:
             height, width = struct.unpack_from(">2H", data, at + 5)
             return width, height
-        elif marker in (0xFFD8, 0xFF01) or 0xFFD0 <= marker <= 0xFFD7:  # without a length
+        elif marker in _JPEG_WITHOUT_LENGTH:
             at += 2
-        elif marker > 0xFF00 and marker != 0xFFD9:
+        elif marker > _JPEG_MARKERS and marker != _JPEG_END:
             at += 2 + struct.unpack_from(">H", data, at + 2)[0]
         else:
             return None
@@ -228,6 +237,7 @@ def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], i
 
 
 _WEBP_ANIMATED = 2
+_WEBP_SIDE = 0x3FFF  # a side has 14 bits
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:
@@ -240,10 +250,10 @@ def _webp(data: bytes) -> tuple[int, int] | None:
         return (low[0] | low[1] << 8 | low[2] << 16) + 1, (low[3] | low[4] << 8 | low[5] << 16) + 1
     if kind == b"WEBPVP8L":
         (bits,) = struct.unpack_from("<I", data, 21)
-        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+        return (bits & _WEBP_SIDE) + 1, (bits >> 14 & _WEBP_SIDE) + 1
     if kind == b"WEBPVP8 ":
         width, height = struct.unpack_from("<2H", data, 26)
-        return width & 0x3FFF, height & 0x3FFF
+        return width & _WEBP_SIDE, height & _WEBP_SIDE
     return None
 
 

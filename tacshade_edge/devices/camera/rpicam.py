@@ -40,6 +40,29 @@ _PIPE_BYTES = 1 << 20  # the most that a user may request; a frame of 640x480 ha
 _SAID_BYTES = 4096
 
 
+def _command(
+    camera: int,
+    shape: tuple[int, int],
+    fps: float,
+    exposure_us: int,
+    gain: float,
+    lens_position: float | None,
+    sensor_mode: str | None,
+) -> tuple[str, ...]:
+    height_px, width_px = shape
+    command = [PROGRAM, "--camera", str(camera)]
+    command += ["--width", str(width_px), "--height", str(height_px), "--framerate", f"{fps:g}"]
+    command += ["--shutter", str(exposure_us), "--gain", f"{gain:g}", "--awbgains", "1,1"]
+    place = "default" if lens_position is None else f"{lens_position:g}"
+    command += ["--autofocus-mode", "manual", "--lens-position", place]
+    if sensor_mode:
+        command += ["--mode", sensor_mode]
+    command += ["--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0"]
+    command += ["--nopreview", "--verbose", "0", "--flush", "--output", "-"]
+    command += ["--metadata-format", "txt", "--metadata"]
+    return tuple(command)
+
+
 class RpicamSource(Camera):
     """A camera on ``rpicam-vid``; frames are grey, the luma of YUV 4:2:0 in full range.
 
@@ -64,41 +87,8 @@ class RpicamSource(Camera):
         super().__init__(name := f"camera {camera} of {PROGRAM}", name)
         self._shape = (height_px, width_px)
         self._exposure_us, self._gain = exposure_us, gain
-        self._command = (
-            *(
-                PROGRAM,
-                "--camera",
-                str(camera),
-                "--width",
-                str(width_px),
-                "--height",
-                str(height_px),
-            ),
-            *(
-                "--framerate",
-                f"{fps:g}",
-                "--shutter",
-                str(exposure_us),
-                "--gain",
-                f"{gain:g}",
-                "--awbgains",
-                "1,1",
-            ),
-            *("--autofocus-mode", "manual", "--lens-position"),
-            "default" if lens_position is None else f"{lens_position:g}",
-            *(("--mode", sensor_mode) if sensor_mode else ()),
-            *(
-                "--denoise",
-                "cdn_off",
-                "--codec",
-                "yuv420",
-                "--timeout",
-                "0",
-                "--nopreview",
-                "--verbose",
-                "0",
-            ),
-            *("--flush", "--output", "-", "--metadata-format", "txt", "--metadata"),
+        self._command = _command(
+            camera, self._shape, fps, exposure_us, gain, lens_position, sensor_mode
         )
         self._settings = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
         self._stream: _Stream | None = None
@@ -251,9 +241,8 @@ class _Stream:
         view, have = content.data, 0
         while have < self._bytes or b"\n\n" not in self._unread:
             whole = have == self._bytes
-            ready = select.select(
-                [*self._others, *(() if whole else (self._frames,))], [], [], limit_s
-            )[0]
+            awaited = self._others if whole else [*self._others, self._frames]
+            ready = select.select(awaited, [], [], limit_s)[0]
             if not ready:
                 if whole and _is_readable(self._frames):
                     raise self.other_size()

@@ -156,8 +156,13 @@ _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL, the value of USB cameras
 # What OpenCV cannot set: linux/v4l2-controls.h (FOCUS_AUTO, AUTOGAIN, BACKLIGHT_COMPENSATION,
 # EXPOSURE_AUTO_PRIORITY, AUTOBRIGHTNESS, WIDE_DYNAMIC_RANGE, IMAGE_STABILIZATION).
 AUTOMATICS = {
-    **{"focus": 0x009A090C, "gain": 0x00980912, "backlight": 0x0098091C, "frame_rate": 0x009A0903},
-    **{"brightness": 0x00980920, "dynamic_range": 0x009A0915, "stabilization": 0x009A0916},
+    "focus": 0x009A090C,
+    "gain": 0x00980912,
+    "backlight": 0x0098091C,
+    "frame_rate": 0x009A0903,
+    "brightness": 0x00980920,
+    "dynamic_range": 0x009A0915,
+    "stabilization": 0x009A0916,
 }
 """What else a camera changes by itself, and the control that switches it."""
 

@@ -285,15 +285,11 @@ class MqttLink(Outgoing):
             client.disconnect()
             return
         client.drop_out_messages()  # or paho would send old retained values after the new ones
-        client.subscribe(
-            [
-                (f"{self._base}/req/+", SubscribeOptions(1, noLocal=True, retainHandling=2)),
-                *(
-                    (f"{self._base}/{topic}", SubscribeOptions(1, noLocal=True))
-                    for topic in self._watched
-                ),
-            ]
-        )
+        wanted = {
+            f"{self._base}/{topic}": SubscribeOptions(1, noLocal=True) for topic in self._watched
+        }
+        wanted[f"{self._base}/req/+"] = SubscribeOptions(1, noLocal=True, retainHandling=2)
+        client.subscribe(list(wanted.items()))
         self._post(lambda: self._set_reason(None))
         self._post(lambda: self._accepted(packet_bytes_max(properties)))
 

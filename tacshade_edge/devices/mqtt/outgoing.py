@@ -50,8 +50,18 @@ _NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
 CONTENT_TYPES: Final = {name: topic.content_type for name, topic in OF_SENSORS.items()}
 _COUNTERS: Final = (
-    *("connects", "losses", "published", "superseded", "failed", "refused"),
-    *("requests", "bad_requests", "replies", "replies_dropped", "events", "events_dropped"),
+    "connects",
+    "losses",
+    "published",
+    "superseded",
+    "failed",
+    "refused",
+    "requests",
+    "bad_requests",
+    "replies",
+    "replies_dropped",
+    "events",
+    "events_dropped",
 )
 
 

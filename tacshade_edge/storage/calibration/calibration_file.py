@@ -327,10 +327,9 @@ def unpack_inputs(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Inputs 
     if "inputs" not in meta:
         return None
     try:
-        return _inputs(
-            msgspec.convert(meta["inputs"], _Inputs),
-            *(arrays[name] for name in (*INPUT_ARRAYS, _SIZED)),
-        )
+        known = msgspec.convert(meta["inputs"], _Inputs)
+        files, solids = [arrays[name] for name in INPUT_ARRAYS]
+        return _inputs(known, files, solids, reference=arrays[_SIZED])
     except (ValueError, KeyError) as error:
         raise ValueError(f"cannot read the stored images: {error}") from None
 

@@ -26,14 +26,19 @@ and completes the file when its block ends.
 """
 
 _AXES: Final = "xyz"
-_MOTION: Final = (
-    *("motion_since_ns", *(f"about_{axis}_mm" for axis in _AXES)),
-    *(f"translation_{axis}_mm" for axis in _AXES),
-    *(f"rotation_{axis}_deg" for axis in _AXES),
-    *(f"sigma_translation_{axis}_mm" for axis in _AXES),
-    *(f"sigma_rotation_{axis}_deg" for axis in _AXES),
-    *("unobservable", "left_out"),
+_ALONG_AXES: Final = (
+    "about_{}_mm",
+    "translation_{}_mm",
+    "rotation_{}_deg",
+    "sigma_translation_{}_mm",
+    "sigma_rotation_{}_deg",
 )
+_MOTION: Final = [
+    "motion_since_ns",
+    *[column.format(axis) for column in _ALONG_AXES for axis in _AXES],
+    "unobservable",
+    "left_out",
+]
 
 
 @contextlib.contextmanager
@@ -159,8 +164,13 @@ def write_hand_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandOb
 def _motion(motion: Motion) -> list[Any]:
     sigmas = [round(math.sqrt(max(0.0, motion.covariance[7 * k])), 4) for k in range(6)]
     return [
-        *(motion.since_ns, *motion.about_mm, *motion.translation_mm, *motion.rotation_deg),
-        *(*sigmas, len(motion.unobservable), " ".join(motion.left_out)),
+        motion.since_ns,
+        *motion.about_mm,
+        *motion.translation_mm,
+        *motion.rotation_deg,
+        *sigmas,
+        len(motion.unobservable),
+        " ".join(motion.left_out),
     ]
 
 

@@ -174,6 +174,7 @@ def known_press(
             "only a ball press may omit them"
         )
     # x and y already give the indenter's place in the image, so the drag does not matter.
+    drag = [values.get(column, 0.0) for column in MORE[:3]]
     return KnownPress(
         f"{where}: {row['image']}" if "image" in row else where,
         image,
@@ -182,5 +183,5 @@ def known_press(
         values.get("x_mm"),
         values.get("y_mm"),
         solid,
-        *(values.get(column, 0.0) for column in MORE[:3]),
+        *drag,
     )

@@ -104,7 +104,10 @@ def test_a_calibration_set_is_complete_repeatable_and_its_commands_run(
             == 0
         )
     assert set(yaml.safe_load((one / "SENSOR.yaml").read_text())) == {
-        *("skin_radius_mm", "camera_distance_mm", "visible_half_angle_deg", "polarity")
+        "skin_radius_mm",
+        "camera_distance_mm",
+        "visible_half_angle_deg",
+        "polarity",
     }
     rows = table(one / "PRESSES.csv")
     assert list(rows[0]) == ["image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"]

@@ -68,7 +68,12 @@ def test_own_images_the_files_and_the_settings(
         (each["scenes"], each["missed"], each["untouched"], each["phantoms"]) for each in rows
     } == {(1, 0, 1, 0)}
     assert [each["outputs"] for each in rows[::2]] == [
-        *("contact", "height", "cloud", "shear", "sigma", "contact height cloud shear sigma")
+        "contact",
+        "height",
+        "cloud",
+        "shear",
+        "sigma",
+        "contact height cloud shear sigma",
     ]
 
 

@@ -47,13 +47,12 @@ def patch(k: int, moved: Rigid, slips: bool = False) -> Patch:
     w = turned_rad(moved.rotation)
     twist = 0.5 * (axis @ w + normal @ w / (normal @ axis))
     return Patch(
-        *(
-            three(now),
-            three(radial / np.linalg.norm(radial)),
-            three(axis),
-            three(way - axis * (axis @ way)),
-        ),
-        *(20.0 - float(np.linalg.norm(radial)), math.degrees(twist)),
+        three(now),
+        three(radial / np.linalg.norm(radial)),
+        three(axis),
+        three(way - axis * (axis @ way)),
+        20.0 - float(np.linalg.norm(radial)),
+        math.degrees(twist),
         slips,
     )
 

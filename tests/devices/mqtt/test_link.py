@@ -256,15 +256,13 @@ def request(verb: str, payload: bytes, asked: str | None = None) -> MQTTMessage:
             f"{BASE}/{topic}"
             for topic in ("state", "map/final", "req/status", "res", "res/", "resx/a", "RES/a")
         ),
-        *(
-            "me/answers",
-            "tacshade/other/res/a",
-            "/",
-            " ",
-            f"/{BASE}/res/a",
-            f"{BASE}/res/a\nb",
-            f"{BASE}/res/+",
-        ),
+        "me/answers",
+        "tacshade/other/res/a",
+        "/",
+        " ",
+        f"/{BASE}/res/a",
+        f"{BASE}/res/a\nb",
+        f"{BASE}/res/+",
     ],
 )
 def test_a_reply_goes_below_res_whatever_topic_is_asked_for(asked: str) -> None:
