@@ -9,7 +9,7 @@ a picture does not show the scale of lengths, pins twice as long move twice as f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -35,8 +35,10 @@ SMOOTH_CELLS = 4.0
 LEAST_CHANGE = 0.01
 """RMS of the white's change over the disc below which a picture is no touch to judge by; noise changes 0.003."""
 LIKELY = 1.02
-"""A kind of print that leaves at most this many times the best one's part of the reference unexplained belongs to the
-cloud. Kinds that leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
+"""A print that leaves at most this many times the best one's part of the reference unexplained belongs to the cloud.
+Prints that leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
+ALIKE = 1.05
+"""A likely print explains touches as well as the best one if it leaves at most this many times as much of them."""
 JUDGES = tuple(LADDER)
 """The profiles whose maps choose a print."""
 _ROUNDS = 5
@@ -82,20 +84,32 @@ def _chart(directions: F64, radius_mm: float) -> F64:
     return np.stack(direction_to_chart(directions, radius_mm), axis=-1)
 
 
-class Picture:
-    """Holds maps of one sensor against its pictures, with a print that was found in its reference."""
+class Changes:
+    """What pictures of one sensor show beside its reference: the change of the cells' white."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._white = WhiteMap(calibration)
+        self._reference = self._white.reference()
+        self.inside = self._white.inside
+
+    def of(self, image: U8) -> F32:
+        """The change of white of a picture from the reference, smoothed, float32 (cells, cells)."""
+        return _soft(self._white.of(greyscale.to_grey(image)) - self._reference)
+
+    def is_touch(self, change: F32) -> bool:
+        """Whether a picture changed enough to judge by."""
+        return float(np.sqrt(np.square(change[self.inside]).mean())) >= LEAST_CHANGE
+
+
+class Twin:
+    """Predicts the change that a map of one sensor makes, with a print that was found in its reference."""
 
     def __init__(self, calibration: Calibration, found: Found) -> None:
         model, layout = found.at(found.values)
         self._geometry = calibration.geometry
         self._renderer = renderer_of(found, replace(model, friction=0.0), layout)
         self._white = WhiteMap(calibration)
-        self._reference = self._white.reference()
         self._at_rest = self._drawn(undeformed(model.skin_radius_mm))
-
-    def change(self, image: U8) -> F32:
-        """The change of white of a picture from the reference, smoothed, float32 (cells, cells)."""
-        return _soft(self._white.of(greyscale.to_grey(image)) - self._reference)
 
     def left(self, change: F32, made: Reconstruction) -> F32:
         """What a reconstruction leaves of a change, float32 (cells, cells), 0 outside the disc."""
@@ -108,10 +122,6 @@ class Picture:
             return 1.0
         whole = float(np.square(change[self._white.inside]).sum())
         return float(np.square(self.left(change, made)).sum()) / max(whole, 1e-9)
-
-    def is_touch(self, change: F32) -> bool:
-        """Whether a picture changed enough to judge by."""
-        return float(np.sqrt(np.square(change[self._white.inside]).mean())) >= LEAST_CHANGE
 
     def _drawn(self, skin: Skin) -> F32:
         return self._white.of(np.clip(self._renderer.draw(skin) + 0.5, 0, 255).astype(np.uint8))
@@ -126,14 +136,14 @@ LEAST_TOUCHES = 8
 
 
 class Touches:
-    """Pictures of unlabelled touches, held against what networks make of them. Those that hardly changed are left out.
-    Raises ConfigError (fewer than `LEAST_TOUCHES` are left).
+    """Pictures of unlabelled touches, to be held against what networks make of them. Those that hardly changed are left
+    out. Raises ConfigError (fewer than `LEAST_TOUCHES` are left).
     """
 
-    def __init__(self, calibration: Calibration, found: Found, images: Sequence[U8]) -> None:
-        self._picture = Picture(calibration, found)
-        changes = [(image, self._picture.change(image)) for image in images]
-        self._seen = [(image, c) for image, c in changes if self._picture.is_touch(c)]
+    def __init__(self, calibration: Calibration, images: Sequence[U8]) -> None:
+        changes = Changes(calibration)
+        seen = [(image, changes.of(image)) for image in images]
+        self._seen = [(image, change) for image, change in seen if changes.is_touch(change)]
         if len(self._seen) < LEAST_TOUCHES:
             found_touches = f"found {len(self._seen)} pictures with a touch among {len(images)}"
             raise ConfigError(f"touches: {found_touches}, expected at least {LEAST_TOUCHES}")
@@ -143,30 +153,24 @@ class Touches:
         made = make_reconstructor(calibration, PROFILES[profile])
         return [made.step(Frame(0, 0, 0, image)) for image, _ in self._seen]
 
-    def left_by(self, calibration: Calibration, profile: str) -> float:
-        """The mean part of the pictures' changes that a profile's heights leave unexplained."""
-        return self.left(self.reconstructed(calibration, profile))
-
-    def left(self, made: Sequence[Reconstruction], picture: Picture | None = None) -> float:
-        """The mean part that reconstructions leave, also with another print's renderer."""
-        with_print = picture or self._picture
-        return float(
-            np.mean(
-                [
-                    with_print.unexplained(change, each)
-                    for (_, change), each in zip(self._seen, made, strict=True)
-                ]
-            )
-        )
+    def left(self, made: Sequence[Reconstruction], twin: Twin) -> float:
+        """The mean part of the pictures' changes that reconstructions leave unexplained."""
+        pairs = zip(self._seen, made, strict=True)
+        return float(np.mean([twin.unexplained(change, each) for (_, change), each in pairs]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The prints that explain touches best, the best first, and the part that the best one leaves."""
+    """The prints that explain touches best, the best first, what the best one leaves of them, and its twin."""
 
     prints: tuple[Found, ...]
     left: float
+    twin: Twin
     touches: Touches
+
+    def left_by(self, calibration: Calibration, profile: str) -> float:
+        """The mean part of the touches' changes that a profile's heights leave unexplained."""
+        return self.touches.left(self.touches.reconstructed(calibration, profile), self.twin)
 
 
 def chosen_prints(
@@ -176,40 +180,40 @@ def chosen_prints(
     several lengths; None without any. What the shipped networks make of the touches is right on average, so the length
     that explains it best is the pins' own, unless it is `stated`. Raises ConfigError (too few touches).
     """
-    own = own_picture(calibration)
-    tried = [*prints, *([own] if own else [])]
+    tried = candidates(calibration, prints, stated)
     if not tried:
         return None
-    touches = Touches(calibration, tried[0], images)
-    made = {name: touches.reconstructed(calibration, name) for name in JUDGES}
-    tried = _with_lengths(tried, stated)
+    touches = Touches(calibration, images)
+    made = [touches.reconstructed(calibration, name) for name in JUDGES]
 
-    def left(found: Found) -> float:
-        picture = Picture(calibration, found)
-        return float(np.mean([touches.left(each, picture) for each in made.values()]))
+    def left_by_best_length(lengths: Sequence[Found]) -> tuple[float, Found, Twin]:
+        twins = [Twin(calibration, found) for found in lengths]
+        lefts = [float(np.mean([touches.left(each, twin) for each in made])) for twin in twins]
+        best = int(np.argmin(lefts))
+        return lefts[best], lengths[best], twins[best]
 
-    lefts = [left(found) for found in tried]
-    best = int(np.argmin(lefts))
-    found = tried[best]
+    lefts = sorted((left_by_best_length(each) for each in tried), key=lambda each: each[0])
+    least, best, twin = lefts[0]
     alike = [
-        each
-        for each in prints
-        if each.kind != found.kind and each.residual <= LIKELY * found.residual
+        found
+        for left, found, _ in lefts[1:]
+        if left <= ALIKE * least and found.residual <= LIKELY * best.residual
     ]
-    return Choice(
-        (found, *(alike if not found.kind.patches else ())),
-        lefts[best],
-        Touches(calibration, found, images),
-    )
+    return Choice(prints=(best, *alike), left=least, twin=twin, touches=touches)
 
 
-def _with_lengths(prints: Sequence[Found], stated: bool = False) -> list[Found]:
-    """The prints, those of white tips with each of `LENGTHS_PITCHES` unless their pins' length is stated."""
+def candidates(
+    calibration: Calibration, prints: Sequence[Found], stated: bool = False
+) -> list[list[Found]]:
+    """The prints and the reference's own patches, those of white tips with each of `LENGTHS_PITCHES`, unless the length
+    of their pins is stated.
+    """
+    own = own_picture(calibration)
     made = []
-    for found in prints:
+    for found in [*prints, *([own] if own else [])]:
         known = stated and not found.kind.patches
         free = found.kind.white_tips and not known
-        made += [with_length(found, length) for length in LENGTHS_PITCHES] if free else [found]
+        made.append([with_length(found, length) for length in LENGTHS_PITCHES] if free else [found])
     return made
 
 
@@ -219,18 +223,17 @@ def shares_left(
     """The share of each picture's change that a profile's heights leave unexplained, by the print that explains all
     pictures best; None for a picture that hardly changed, and for all without a print.
     """
-    own = own_picture(calibration)
+    changes = Changes(calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[profile])
-    made = [reconstructor.step(Frame(0, 0, 0, image)) for image in images]
+    seen = {
+        k: change for k, image in enumerate(images) if changes.is_touch(change := changes.of(image))
+    }
+    made = {k: reconstructor.step(Frame(0, 0, 0, images[k])) for k in seen}
 
-    def left_by(found: Found) -> list[float | None]:
-        picture = Picture(calibration, found)
-        changes = [picture.change(image) for image in images]
-        return [
-            picture.unexplained(change, each) if picture.is_touch(change) else None
-            for change, each in zip(changes, made, strict=True)
-        ]
+    def left_by(found: Found) -> Mapping[int, float]:
+        twin = Twin(calibration, found)
+        return {k: twin.unexplained(change, made[k]) for k, change in seen.items()}
 
-    tried = [left_by(found) for found in _with_lengths([*prints, *([own] if own else [])])]
-    nothing: list[float | None] = [None] * len(images)
-    return min(tried, key=lambda lefts: sum(each or 0.0 for each in lefts), default=nothing)
+    tried = [left_by(found) for each in candidates(calibration, prints) for found in each]
+    best = min(tried, key=lambda lefts: sum(lefts.values()), default={})
+    return [best.get(k) for k in range(len(images))]

@@ -145,7 +145,7 @@ def fit(
             steps.frames(f"frames-{seed}")
             for seed in range(effort.batches - effort.held_out, effort.batches)
         ]
-        unlabelled = choice.touches if choice and touches else None
+        unlabelled = choice if touches else None
         alone = LENGTH_UNKNOWN if prints[0].kind.white_tips else WHOLE_WAY
         made = {
             name: judged(calibration, presses, unlabelled, held, name, weights[name], alone)

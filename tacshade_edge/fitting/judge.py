@@ -19,7 +19,7 @@ from tacshade_edge.core.geometry.disc_map import rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.fitting import training
-from tacshade_edge.fitting.explained import Touches
+from tacshade_edge.fitting.explained import Choice
 from tacshade_edge.fitting.training import TorchNetwork
 from tacshade_edge.fitting.twin import Frames
 from tacshade_edge.inference.network import load_network, shipped_layout
@@ -172,7 +172,7 @@ def skin_radii(calibration: Calibration) -> float:
 def judged(
     calibration: Calibration,
     presses: Sequence[KnownPress],
-    touches: Touches | None,
+    touches: Choice | None,
     parts: Sequence[Frames],
     name: str,
     weights: F32,
@@ -240,7 +240,7 @@ def _by_presses(
 
 def _by_touches(
     calibration: Calibration,
-    touches: Touches,
+    touches: Choice,
     name: str,
     made: Mapping[float, FittedNetwork],
     alone: float,

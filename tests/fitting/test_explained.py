@@ -40,26 +40,26 @@ def own() -> Calibration:
 
 @pytest.mark.parametrize("thing", ["ball", "cube", "cylinder"])
 def test_the_right_map_explains_a_picture_best(thing: str) -> None:
-    from tacshade_edge.fitting.explained import Picture
+    from tacshade_edge.fitting.explained import Changes, Twin
 
     frame = pressed(thing, 3.0)
-    picture = Picture(calibrated(), found_prints()[0])
-    change = picture.change(frame.image)
-    assert picture.is_touch(change)
+    changes, twin = Changes(calibrated()), Twin(calibrated(), found_prints()[0])
+    change = changes.of(frame.image)
+    assert changes.is_touch(change)
     made = step("accurate", frame.image)
-    left = {k: picture.unexplained(change, deeper(made, k)) for k in (0.5, 1.0, 1.6)}
+    left = {k: twin.unexplained(change, deeper(made, k)) for k in (0.5, 1.0, 1.6)}
     assert left[1.0] == min(left.values()) < 0.45
-    assert np.square(picture.left(change, made)).sum() < np.square(change).sum()
+    assert np.square(twin.left(change, made)).sum() < np.square(change).sum()
 
 
 def test_without_contact_nothing_is_explained() -> None:
-    from tacshade_edge.fitting.explained import Picture
+    from tacshade_edge.fitting.explained import Changes, Twin
 
-    picture = Picture(calibrated(), found_prints()[0])
+    changes, twin = Changes(calibrated()), Twin(calibrated(), found_prints()[0])
     frame = pressed("ball", 3.0)
     nothing = replace(step("fast", frame.image), contact=False)
-    assert picture.unexplained(picture.change(frame.image), nothing) == 1.0
-    assert not picture.is_touch(picture.change(simulated().frame((), 9).image))
+    assert twin.unexplained(changes.of(frame.image), nothing) == 1.0
+    assert not changes.is_touch(changes.of(simulated().frame((), 9).image))
 
 
 def test_touches_show_how_long_white_pins_are() -> None:
@@ -74,14 +74,31 @@ def test_touches_show_how_long_white_pins_are() -> None:
 
 
 def test_touches_rank_networks() -> None:
-    from tacshade_edge.fitting.explained import Touches, chosen_prints
+    from tacshade_edge.fitting.explained import chosen_prints
 
     choice = chosen_prints(own(), [], touches())
     assert choice is not None
-    found = Touches(own(), choice.prints[0], touches())
-    made = found.reconstructed(own(), "accurate")
-    assert found.left(made) < found.left([deeper(each, 0.4) for each in made])
-    assert found.left(made) == pytest.approx(found.left_by(own(), "accurate"))
+    made = choice.touches.reconstructed(own(), "accurate")
+    left = choice.touches.left(made, choice.twin)
+    assert left < choice.touches.left([deeper(each, 0.4) for each in made], choice.twin)
+    assert left == pytest.approx(choice.left_by(own(), "accurate"))
+
+
+def test_the_cloud_has_the_likely_prints_that_explain_touches_alike() -> None:
+    from tacshade_edge.fitting.explained import LIKELY, chosen_prints
+    from tacshade_edge.fitting.patches import with_length
+
+    shown = found_prints()[0]
+    twin_of_it = replace(shown, residual=1.01 * shown.residual)
+    longer = with_length(shown, 2 * shown.values[0])
+    unlikely = replace(shown, residual=1.1 * LIKELY * shown.residual)
+    pictures = [
+        simulated().frame((Press(OBJECTS["ball"](), 2.0 * k - 7, 0.0, 2.5),), 60 + k).image
+        for k in range(8)
+    ]
+    choice = chosen_prints(calibrated(), [shown, longer, unlikely, twin_of_it], pictures)
+    assert choice is not None
+    assert [id(each) for each in choice.prints] == [id(shown), id(twin_of_it)]
 
 
 def test_a_picture_that_its_map_does_not_explain_stands_out() -> None:

@@ -8,7 +8,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -129,31 +129,40 @@ def _calibration(args: argparse.Namespace) -> Calibration:
 
 
 def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_json: bool) -> int:
-    """Print what the judges say of each picture, and which maps do not explain theirs;
-    return 1 if one is refused.
+    """Print what the judges say of each picture, then which maps do not explain theirs;
+    return 1 if a picture is refused.
     """
     judged = list(judge_pictures(calibration, profile, images_in(paths)))
-    left = _shares_left(calibration, profile, [each.path for each in judged if not each.reason])
+    passing = [each.path for each in judged if not each.reason]
     if as_json:
+        left = _shares_left(calibration, profile, passing)
         records = [each.as_dict() | {"unexplained": left.get(each.path)} for each in judged]
         print(json.dumps(records, indent=2))
     else:
         for each in judged:
             named = shown_path(each.path)
-            why = (
-                f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}"
-                if each.reason
-                else _doubt(left.get(each.path))
-            )
+            why = ""
+            if each.reason:
+                why = f"  {each.judge}: {escaped(each.reason.text.removeprefix(f'{named}: '))}"
             print(f"{'refused' if each.reason else 'passes':<8} {named}{why}")
         print("", *figures(judged), "", sep="\n")
-        if left:
-            low, high = 100 * min(left.values()), 100 * max(left.values())
+        print(f"{len(passing)} of {len(judged)} pass", flush=True)
+        # Finding a print takes up to a minute: whoever wants no more than the judges has read them by now.
+        _print_doubts(_shares_left(calibration, profile, passing))
+    return EXIT_FAILED if len(passing) < len(judged) else EXIT_OK
+
+
+def _print_doubts(left: Mapping[Path, float]) -> None:
+    if not left:
+        return
+    low, high = 100 * min(left.values()), 100 * max(left.values())
+    print(f"maps leave {low:.0f} to {high:.0f} % of {len(left)} pictures' changes unexplained")
+    for path, share in left.items():
+        if share >= UNEXPLAINED_MOST:
             print(
-                f"maps leave {low:.0f} to {high:.0f} % of {len(left)} pictures' changes unexplained"
+                f"{shown_path(path)}: its map explains the picture no better than no contact "
+                f"({100 * share:.0f} % left)"
             )
-        print(f"{sum(each.reason is None for each in judged)} of {len(judged)} pass")
-    return EXIT_FAILED if any(each.reason for each in judged) else EXIT_OK
 
 
 def _shares_left(
@@ -168,12 +177,7 @@ def _shares_left(
     from tacshade_edge.fitting.explained import shares_left
     from tacshade_edge.fitting.identify import identify
 
+    print("holding maps against their pictures, up to a minute", file=sys.stderr)
     images = [read_image(path) for path in paths]
     found = shares_left(calibration, identify(calibration), profile, images)
     return {path: left for path, left in zip(paths, found, strict=True) if left is not None}
-
-
-def _doubt(left: float | None) -> str:
-    if left is None or left < UNEXPLAINED_MOST:
-        return ""
-    return f"  but its map explains the picture no better than no contact ({100 * left:.0f} % left)"

@@ -72,7 +72,8 @@ def candidates(
     for profile in LADDER:
         of_touches = choice.touches.reconstructed(calibration, profile)
         for factor, me_mm in errors_mm(stranger, calibration, profile).items():
-            left = choice.touches.left([scaled(each, factor) for each in of_touches])
+            of_factor = [scaled(each, factor) for each in of_touches]
+            left = choice.touches.left(of_factor, choice.twin)
             made.append(Candidate(profile, factor, me_mm, left))
     return tuple(made)
 
