@@ -161,12 +161,19 @@ class Touches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The prints that explain touches best, the best first, what the best one leaves of them, and its twin."""
+    """The prints that explain touches best, the best first, its twin, and the share of the touches' changes that the
+    heights of each shipped network leave unexplained with it, by profile.
+    """
 
     prints: tuple[Found, ...]
-    left: float
+    lefts: Mapping[str, float]
     twin: Twin
     touches: Touches
+
+    @property
+    def left(self) -> float:
+        """The mean share over the shipped networks."""
+        return float(np.mean(list(self.lefts.values())))
 
     def left_by(self, calibration: Calibration, profile: str) -> float:
         """The mean part of the touches' changes that a profile's heights leave unexplained."""
@@ -184,22 +191,23 @@ def chosen_prints(
     if not tried:
         return None
     touches = Touches(calibration, images)
-    made = [touches.reconstructed(calibration, name) for name in JUDGES]
+    made = {name: touches.reconstructed(calibration, name) for name in JUDGES}
 
-    def left_by_best_length(lengths: Sequence[Found]) -> tuple[float, Found, Twin]:
-        twins = [Twin(calibration, found) for found in lengths]
-        lefts = [float(np.mean([touches.left(each, twin) for each in made])) for twin in twins]
-        best = int(np.argmin(lefts))
-        return lefts[best], lengths[best], twins[best]
+    def held(found: Found) -> Choice:
+        twin = Twin(calibration, found)
+        lefts = {name: touches.left(each, twin) for name, each in made.items()}
+        return Choice((found,), lefts, twin, touches)
 
-    lefts = sorted((left_by_best_length(each) for each in tried), key=lambda each: each[0])
-    least, best, twin = lefts[0]
+    choices = [min(map(held, lengths), key=lambda each: each.left) for lengths in tried]
+    choices.sort(key=lambda each: each.left)
+    best = choices[0]
     alike = [
         found
-        for left, found, _ in lefts[1:]
-        if left <= ALIKE * least and found.residual <= LIKELY * best.residual
+        for choice in choices[1:]
+        for found in choice.prints
+        if choice.left <= ALIKE * best.left and found.residual <= LIKELY * best.prints[0].residual
     ]
-    return Choice(prints=(best, *alike), left=least, twin=twin, touches=touches)
+    return replace(best, prints=(*best.prints, *alike))
 
 
 def candidates(

@@ -28,6 +28,7 @@ from tacshade_edge.fitting.judge import (
     LENGTH_UNKNOWN,
     WHOLE_WAY,
     NetworkReport,
+    error_scales_of,
     judged,
     skin_radii,
 )
@@ -127,6 +128,8 @@ def fit(
     if touches or len(pictures) >= LEAST_TOUCHES:
         say("fit: comparing prints with the touches")
         choice = chosen_prints(calibration, prints, pictures, "pin_length_mm" in stated)
+    if choice and touches and not calibration.error_scales:
+        calibration = replace(calibration, error_scales=error_scales_of(choice.lefts))
     refused = _refused(prints, choice)
     if refused:
         return FitResult(calibration, refused[:1], advice=refused[1:])

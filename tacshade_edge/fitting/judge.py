@@ -111,6 +111,24 @@ worse than the shipped network a fitted one may be on them: presses are few and 
 what touches leave unexplained hardly ranks networks."""
 
 
+USUAL_LEFT = 0.3
+"""The share of touches' changes that maps leave unexplained where σ of the shipped networks is right."""
+
+
+def error_scales_of(lefts: Mapping[str, float]) -> dict[str, float]:
+    """Factors on σ of shipped networks, by the shares of touches' changes that their heights leave unexplained."""
+    return {name: error_scale_of(name, left) for name, left in lefts.items()}
+
+
+def error_scale_of(name: str, left: float) -> float:
+    """Factor on σ of a network, by the share of touches' changes that its heights leave unexplained. Errors go with the
+    change that is left, the share with its square. An explained change may hide a wrong scale: nothing shrinks σ.
+    """
+    sigma = load_network(name).sigma
+    alone = 1.0 if sigma is None else sigma.scale_without_presses
+    return alone * max(1.0, math.sqrt(left / USUAL_LEFT))
+
+
 @dataclass(frozen=True, slots=True)
 class NetworkReport:
     """Errors of a network, as shipped and fitted.
@@ -245,7 +263,7 @@ def _by_touches(
     made: Mapping[float, FittedNetwork],
     alone: float,
 ) -> tuple[FittedNetwork, NetworkReport]:
-    before = touches.left_by(calibration, name)
+    before = touches.lefts[name]
     left = {
         part: touches.left_by(replace(calibration, fitted={name: fitted}), name)
         for part, fitted in made.items()
@@ -260,7 +278,14 @@ def _by_touches(
         part=best,
         left={0.0: before, **left},
     )
-    return made[best], report
+    return with_error_scale(made[best], name, left[best]), report
+
+
+def with_error_scale(fitted: FittedNetwork, name: str, left: float) -> FittedNetwork:
+    """The network with at least the error scale that what it leaves of touches shows."""
+    if fitted.error_scale is None:
+        return fitted
+    return replace(fitted, error_scale=max(fitted.error_scale, error_scale_of(name, left)))
 
 
 def chosen(errors: Mapping[float, float | None], alone: float) -> float:

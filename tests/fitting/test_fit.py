@@ -22,7 +22,7 @@ from support.calibrated_sensor import (
 from support.networks import float_network
 
 from tacshade_edge.core.depth.learned import KNOWN
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
+from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor, network_files, runtime
 from tacshade_edge.inference.onnx_weights import values_of
@@ -146,6 +146,7 @@ def test_touches_that_no_print_explains_are_not_fitted(monkeypatch: pytest.Monke
     result = module.fit(own, [], lambda _: None, touches=[turned] * 8)
     assert not result.calibration.fitted
     assert "of the touches' changes unexplained: nothing is fitted" in result.found[0]
+    assert set(result.calibration.error_scales) == set(LADDER)
 
 
 def test_too_few_touches_are_a_mistake_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

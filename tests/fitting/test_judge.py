@@ -10,7 +10,7 @@ from support.calibrated_sensor import calibrated, presses
 
 from tacshade_edge.core.depth.base import Features
 from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.types import F32
+from tacshade_edge.types import F32, FittedNetwork
 
 if TYPE_CHECKING:
     from tacshade_edge.fitting.judge import NetworkReport
@@ -116,3 +116,18 @@ def test_a_network_is_kept_unless_it_explains_touches_clearly_worse(
     report = NetworkReport("fast", 0.3, 0.2, shipped_left=left[0], fitted_left=left[1])
     assert report.kept == kept
     assert "of your touches unexplained" in report.line
+
+
+def test_what_touches_leave_unexplained_widens_the_intervals_and_nothing_narrows_them() -> None:
+    from tacshade_edge.fitting.judge import USUAL_LEFT, error_scale_of, with_error_scale
+    from tacshade_edge.inference.network import load_network
+
+    sigma = load_network("fast").sigma
+    assert sigma is not None
+    alone = sigma.scale_without_presses
+    assert error_scale_of("fast", 0.0) == error_scale_of("fast", USUAL_LEFT) == alone
+    assert error_scale_of("fast", 4 * USUAL_LEFT) == pytest.approx(2 * alone)
+    fitted = FittedNetwork("layout", np.zeros(1, np.float32), 0, 0.2, 0.3, error_scale=0.7 * alone)
+    assert with_error_scale(fitted, "fast", 4 * USUAL_LEFT).error_scale == pytest.approx(2 * alone)
+    wide = replace(fitted, error_scale=3 * alone)
+    assert with_error_scale(wide, "fast", 0.1).error_scale == 3 * alone
