@@ -350,10 +350,10 @@ def test_a_kept_case_is_not_measured_again_unless_the_program_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case = Case("third", "working", 0, "shipped")
-    known = {"program": evaluate.program(), "rows": [], "fit_s": 1.0}
+    known = {"program": evaluate.fingerprint([evaluate.PROGRAM]), "rows": [], "fit_s": 1.0}
     case.file(tmp_path).write_text(json.dumps(known))
     assert list(evaluate.of_cases([case], tmp_path / "none", tmp_path)) == [(case, known)]
-    monkeypatch.setattr(evaluate, "program", lambda: "another")
+    monkeypatch.setattr(evaluate, "fingerprint", lambda _: "another")
     with pytest.raises(FileNotFoundError):  # it is measured, and nothing was solved
         list(evaluate.of_cases([case], tmp_path / "none", tmp_path))
 

@@ -13,7 +13,6 @@ measure the case again until the program changes.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import math
 import multiprocessing
@@ -28,7 +27,6 @@ from typing import Any
 
 import numpy as np
 
-import tacshade_edge
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.core.depth.sigma import INTERVAL_90
 from tacshade_edge.core.profiles import LADDER
@@ -37,10 +35,12 @@ from tacshade_edge.studies.evaluate.score import Label, score
 from tacshade_edge.studies.evaluate.work import reconstructor
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
+from tools.fingerprint import fingerprint
 from tools.studies import command
 from tools.studies.strangers.families import FAMILIES
 from tools.studies.strangers.sensor import Seen, Stranger, calibrated
 
+PROGRAM = "tools.studies.strangers.evaluate"
 SHIPPED = "shipped"
 WAYS = ("none", "touches", "balls")
 """What a fit knows beside the references: nothing, touches without labels, or presses of balls."""
@@ -129,23 +129,11 @@ def measured(states: Path, case: Case) -> dict[str, Any]:
     return {"fit_s": took_s, "kept": sorted(calibration.fitted), "said": said, "rows": rows}
 
 
-def program() -> str:
-    """A hash of the measured program and of the families."""
-    digest, package = hashlib.sha256(), Path(tacshade_edge.__file__).parent
-    own = Path(__file__).parents[1]
-    rooms = [package / name for name in ("core", "fitting", "simulator", "inference")]
-    for room in (*rooms, own / "strangers", own / "third_family"):
-        for path in sorted(room.rglob("*")):
-            if path.is_file() and path.parent.name != "__pycache__":
-                digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
 def of_cases(
     cases: Sequence[Case], states: Path, folder: Path | None
 ) -> Iterator[tuple[Case, dict[str, Any]]]:
     """Each case's results, measured now or kept."""
-    spawn, own = multiprocessing.get_context("spawn"), program()
+    spawn, own = multiprocessing.get_context("spawn"), fingerprint([PROGRAM])
     with ProcessPoolExecutor(1, mp_context=spawn, max_tasks_per_child=1) as pool:
         for case in cases:
             file = case.file(folder) if folder else None
