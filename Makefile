@@ -38,6 +38,7 @@ demo: .venv/run.stamp
 lint: .venv/dev.stamp
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
+	$(PY) -m tools.ci.fence
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 

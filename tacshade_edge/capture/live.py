@@ -32,7 +32,7 @@ from tacshade_edge.types import F32, U8, Disc, Frame
 _CLEAR: Final = "\r\x1b[K"
 
 
-class InputEnded(Exception):
+class InputEnded(Exception):  # noqa: N818 (no error: it ends the work as a line does)
     """The person ended the dialogue (Ctrl-D), or the pipe in place of a person has closed."""
 
 

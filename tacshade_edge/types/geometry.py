@@ -30,13 +30,13 @@ def frozen(cls: type[Record]) -> type[Record]:
     """
     names = tuple(cls.__annotations__)
 
-    def __post_init__(self: Record) -> None:
+    def freeze_arrays(self: Record) -> None:
         for name in names:  # several records are made for every frame
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and value.flags.writeable:
                 freeze(self, name)
 
-    cls.__post_init__ = __post_init__  # type: ignore[attr-defined]
+    cls.__post_init__ = freeze_arrays  # type: ignore[attr-defined]
     return dataclass(frozen=True, slots=True, eq=False)(cls)
 
 

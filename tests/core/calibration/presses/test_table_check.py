@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.calibrated_sensor import FULL, calibrated, references, sensor_of, simulated
-from support.calibrated_sensor import presses as HALF_PRESSES
+from support.calibrated_sensor import presses as half_presses
 from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.core.calibration.calibrate import calibrate
@@ -60,7 +60,7 @@ def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
 def seen() -> tuple[PressObservation, ...]:
     """True presses of `HALF`, also as a network sees them."""
     check = PressCheck(calibrated(count=0), load_networks()["accurate"])
-    return tuple(check.see(check.observe(press), press) for press in HALF_PRESSES())
+    return tuple(check.see(check.observe(press), press) for press in half_presses())
 
 
 def turned(a: float, b: float, c: float, d: float) -> Change:
