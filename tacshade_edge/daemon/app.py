@@ -115,6 +115,7 @@ class App:
         self._references = References(
             *(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id),
             *(self._use, self._publish_info, lambda: self._recorder.now() is not None),
+            running=lambda: self._active.reconstructor,
         )
         known = self._references.calibration
         name = settings.profile if settings.profile in PROFILES else LADDER[-1]

@@ -1,17 +1,28 @@
-"""The reference in use: taken on request, or followed from frames of the resting sensor."""
+"""The reference in use: taken on request, or followed from frames of the resting sensor, which also
+show where a touch begins.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from tacshade_edge.core.calibration.reference import references
 from tacshade_edge.core.calibration.reference.references import Distance, rezero
+from tacshade_edge.core.contact.untouched import (
+    Measured,
+    RestLearner,
+    Untouched,
+    UntouchedFrames,
+    worth,
+)
+from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult, Reply
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.free_memory import return_free_memory
@@ -21,64 +32,18 @@ from tacshade_edge.storage.atomic_files import FolderLock
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.storage.calibration.objects_file import Known
-from tacshade_edge.storage.calibration.reference_file import StoredReference
-from tacshade_edge.types import U8, Calibration, Frame, Need, Reconstruction
+from tacshade_edge.storage.calibration.reference_file import (
+    LearntLimits,
+    Source,
+    StoredReference,
+    limited,
+)
+from tacshade_edge.types import U8, Calibration, Need
 
 _log = logging.getLogger(__name__)
 
-REFERENCE_FRAMES = UNTOUCHED_FRAMES = 10
+REFERENCE_FRAMES = 10
 REFERENCE_TIMEOUT_S = 5.0
-REST_S = 10.0  # a dent after a release is gone after 3 s; a soft skin under a long press needs a little more
-PERIOD_S = 60.0  # what the reference follows changes over minutes and years
-GAP_S = 3.0  # after a longer gap between frames, nobody knows what touched
-
-
-def _touches(result: Reconstruction) -> bool:
-    return result.contact or result.touched
-
-
-class UntouchedFrames:
-    """Ten frames of a sensor at rest once per `PERIOD_S` of the frames' time; a touched, invalid or doubtful frame ends
-    them. The reconstruct thread passes in every frame, the main thread takes the result.
-    """
-
-    def __init__(self) -> None:
-        self.at_rest = False  # nothing touched in the latest frame
-        self.discarded = 0  # batches that were begun and not finished
-        self._images: list[U8] = []
-        self._finished: list[U8] | Reason | None = None  # set by one thread, cleared by the other
-        self._last_ns: int | None = None
-        self._touched_ns = self._due_ns = 0
-
-    def take(self) -> list[U8] | Reason | None:
-        """The frames, or the doubt about one of them; None if there are none. Until taken, they block further ones."""
-        if (finished := self._finished) is not None:
-            self._finished = None
-        return finished
-
-    def see(self, frame: Frame, result: Reconstruction | None) -> None:
-        now_ns, last_ns = frame.t_ns, self._last_ns
-        self._last_ns = now_ns
-        known = last_ns is not None and 0 <= now_ns - last_ns <= GAP_S * 1e9
-        self.at_rest = result is not None and result.valid and not _touches(result)
-        if not known or not self.at_rest:
-            self._touched_ns = now_ns
-            self._discard()
-        elif self._finished is None and now_ns >= max(
-            self._due_ns, self._touched_ns + int(REST_S * 1e9)
-        ):
-            doubt = result.degraded if result else None
-            if doubt:
-                self._discard()
-            else:
-                self._images.append(frame.image)
-            if doubt or len(self._images) == UNTOUCHED_FRAMES:
-                self._due_ns = now_ns + int(PERIOD_S * 1e9)
-                self._finished, self._images = doubt or self._images, []
-
-    def _discard(self) -> None:
-        self.discarded += bool(self._images)
-        self._images = []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,12 +51,13 @@ class Origin:
     """The reference that following starts from, of the calibration's file or of a request that outlives a restart."""
 
     calibrated: Calibration  # the file's: requests are measured against it, so that they never lead away from it
-    calibration: Calibration
-    source: Literal["calibration", "request"] = "calibration"
+    calibration: Calibration  # with the limits
+    source: Source = "calibration"
     wall_ns: int | None = None
     reason: Reason | None = (
         None  # why a stored one is not used, or why this one will not outlive a restart
     )
+    limits: Mapping[str, LearntLimits] = field(default_factory=dict)  # by profile
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -115,15 +81,27 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
     if stored is None:
         return Origin(calibrated, calibrated, reason=unowned)
     taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
-    _log.info("using the reference taken at %s and stored in %s", taken, path)
-    return Origin(calibrated, stored.calibration, "request", stored.wall_ns, unowned)
+    on_request = stored.source == "request"
+    if on_request:
+        _log.info("using the reference taken at %s and stored in %s", taken, path)
+    if stored.limits:
+        _log.info("using where touches begin as learnt and stored in %s", path)
+    wall_ns = stored.wall_ns if on_request else None
+    return Origin(
+        calibrated, stored.calibration, stored.source, wall_ns, unowned, limits=stored.limits
+    )
 
 
 def requested(
-    calibrated: Calibration, images: Sequence[U8], path: Path, unowned: Reason | None = None
+    calibrated: Calibration,
+    images: Sequence[U8],
+    path: Path,
+    unowned: Reason | None = None,
+    limits: Mapping[str, LearntLimits] = MappingProxyType({}),
 ) -> Origin:
     """Take a new reference; store it if no other daemon owns the file. Raises ConfigError for unusable images."""
-    taken = StoredReference(with_crc(rezero(calibrated, images)), time.time_ns())
+    renewed = limited(rezero(calibrated, images), limits)
+    taken = StoredReference(renewed, time.time_ns(), limits=limits)
     reason = unowned
     if reason is None:
         try:
@@ -135,15 +113,17 @@ def requested(
             reason.code, f"{reason}; this reference lasts only until the next start or reload"
         )
     _log.info("took a new reference from %d frames%s", len(images), f": {reason}" if reason else "")
-    return Origin(calibrated, taken.calibration, "request", taken.wall_ns, reason)
+    return Origin(calibrated, renewed, "request", taken.wall_ns, reason, limits)
 
 
+NO_RECONSTRUCTOR = Reason(ReasonCode.STARTING, "starting")
 State = Literal["waiting", "following", "stopped", "held"]
 
 
 class References(FrameObserver):
     """Where the reference began, and how far it has followed from there; handles ``req/reference``. `use` receives each
-    new one; `changed` is called when only its state is new; while a recording `held` it, it does not follow.
+    new one; `changed` is called when only its state is new; while a recording `held` it, it does not follow. What the
+    `running` reconstructor finds in untouched frames sets the limits of its profile.
     """
 
     health_key = "reference"
@@ -157,13 +137,16 @@ class References(FrameObserver):
         use: Callable[[Calibration], None],
         changed: Callable[[], None] = lambda: None,
         held: Callable[[], bool] = lambda: False,
+        running: Callable[[], Reconstructor | Reason] = lambda: NO_RECONSTRUCTOR,
     ) -> None:
         self._sensor_id = sensor_id
         self._path = path
-        self._use, self._changed, self._held = use, changed, held
+        self._use, self._changed, self._held, self._running = use, changed, held, running
         self._lock: FolderLock | None = None
         self._unowned: Reason | None = None
-        self.frames = UntouchedFrames()
+        self.frames = UntouchedFrames(self._measure)
+        self._learners: dict[str, RestLearner] = {}
+        self._batch: Untouched | None = None  # waits until nothing has touched for a while
         self._request: tuple[Reply, float] | None = None  # and its deadline
         self._images: list[U8] | None = None  # what it collects, in the reconstruct thread
         self._collected: list[U8] | Reason | None = None
@@ -218,7 +201,7 @@ class References(FrameObserver):
         if not result.valid:
             text = f"{what} an invalid frame ({result.reason}), expected a valid frame of an untouched sensor"
             self._collected = Reason(ReasonCode.FRAME_INVALID, text)
-        elif _touches(result):
+        elif result.contact or result.touched:
             depth = "of unknown depth" if result.touched else f"{result.depth_max_mm:.2f} mm deep"
             text = f"{what} a contact {depth}, expected no contact"
             self._collected = Reason(ReasonCode.FRAME_IN_CONTACT, text)
@@ -238,6 +221,12 @@ class References(FrameObserver):
                 reply(images if isinstance(images, Reason) else self._taken(images))
         if (frames := self.frames.take()) is not None:
             self.follow(frames)
+        if (batch := self._batch) is not None:
+            untouched = self.frames.untouched_since(batch.end_ns)
+            if untouched is not None:
+                self._batch = None
+            if untouched:
+                self._learn(batch)
 
     def stop(self, timeout_s: float = 0) -> None:
         """Let another daemon have the stored reference."""
@@ -267,7 +256,10 @@ class References(FrameObserver):
             return self._origin
         self._own_file()
         try:
-            origin = requested(self._origin.calibrated, images, self._path, self._unowned)
+            known = self._origin
+            origin = requested(
+                known.calibrated, images, self._path, self._unowned, limits=known.limits
+            )
         except ConfigError as error:
             return Reason(ReasonCode.REFERENCE_INVALID, str(error))
         self._begin(origin)
@@ -275,7 +267,15 @@ class References(FrameObserver):
         self._use(taken)
         return ReferenceTaken(len(images), taken.crc32, taken.noise_grey, unstored=origin.reason)
 
-    def follow(self, frames: list[U8] | Reason) -> None:
+    def _measure(self, image: U8) -> Measured | None:
+        """What the running profile finds; called in the reconstruct thread, which runs it."""
+        running = self._running()
+        if isinstance(running, Reason) or running.profile.network is None:
+            return None
+        found = running.evidence(image)
+        return None if isinstance(found, Reason) else (running.profile.name, found)
+
+    def follow(self, frames: Untouched | Reason) -> None:
         """Follow frames of the sensor at rest, unless there was a doubt about one of them, or a recording goes on."""
         if isinstance(self._origin, Reason) or isinstance(self.calibration, Reason):
             return
@@ -286,16 +286,56 @@ class References(FrameObserver):
         if isinstance(frames, Reason):
             self._change_state("stopped", frames)
             return
-        followed = references.follow(self._origin.calibration, self.calibration, frames)
+        followed = references.follow(self._origin.calibration, self.calibration, frames.images)
         return_free_memory()  # the heap kept 7 MB
         self._distance = followed.distance
         self._change_state("stopped" if followed.reason else "following", followed.reason)
+        if followed.reason is None and frames.evidence:
+            self._batch = replace(frames, images=[])
         # A new reference during a contact would be a step in its heights; the next frames at rest yield it again.
         if followed.calibration is not None and self.frames.at_rest:
             self.calibration = with_crc(followed.calibration)
             self._renewals += 1
             _log.debug("reference renewed: %s", followed.distance)
             self._use(self.calibration)
+
+    def _learn(self, batch: Untouched) -> None:
+        """Learn from a batch where touches begin, and use that if it is worth it; like a new
+        reference, not during a contact or a recording.
+        """
+        origin, current = self._origin, self.calibration
+        if isinstance(origin, Reason) or isinstance(current, Reason):
+            return
+        profile = batch.profile
+        learner = self._learners.setdefault(profile, RestLearner())
+        learner.add(batch)
+        first = origin.calibrated.rest.get(profile)
+        if first is None and profile in origin.limits:
+            first = origin.limits[profile].first
+        present, made = current.rest.get(profile), learner.limits(first)
+        if made is None or not worth(present, made) or not self.frames.at_rest or self._held():
+            return
+        limits = {**origin.limits, profile: LearntLimits(made, first or made)}
+        before = f" ({present.height_mm:.2g} mm before)" if present else ""
+        text = "%s now reports a touch from %.2g mm of its own heights on%s, as %d untouched frames show"
+        _log.info(text, profile, made.height_mm, before, made.frames)
+        self._origin = replace(
+            origin, calibration=limited(origin.calibration, limits), limits=limits
+        )
+        self.calibration = limited(current, limits)
+        self._use(self.calibration)
+        self._store_limits(self._origin)
+
+    def _store_limits(self, origin: Origin) -> None:
+        self._own_file()
+        if self._unowned is not None:
+            return
+        wall_ns = time.time_ns() if origin.wall_ns is None else origin.wall_ns
+        stored = StoredReference(origin.calibration, wall_ns, origin.source, origin.limits)
+        try:
+            reference_file.save(self._path, origin.calibrated, stored)
+        except DeviceError as error:
+            _log.warning("%s; where touches begin is known until the next start or reload", error)
 
     def info(self) -> dict[str, Any] | None:
         """The content for ``info``."""
@@ -313,11 +353,18 @@ class References(FrameObserver):
             "looks": self._looks,
             "renewals": self._renewals,
             "spoiled": self.frames.discarded,
+            "rest_frames": self._rest_frames(),
             **_figures(self._distance),
         }
 
+    def _rest_frames(self) -> int:
+        running = self._running()
+        learner = None if isinstance(running, Reason) else self._learners.get(running.profile.name)
+        return learner.frames if learner else 0
+
     def _begin(self, origin: Origin) -> None:
         self._origin = origin
+        self._learners, self._batch = {}, None
         self.calibration = origin.calibration
         self._state, self._reason, self._distance = "waiting", None, None
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from tacshade_edge.core.contact.rest import (
+    FALSE_CONTACTS,
     LEAST_FRAMES,
     WAYS,
     Evidence,
@@ -19,9 +20,6 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.quoting import counted
 from tacshade_edge.types import U8, Calibration, RestLimits
-
-FALSE_CONTACTS = 1e-4
-"""Part of the frames without a touch that is taken for one, if the user states no other."""
 
 
 @dataclass(frozen=True, slots=True)

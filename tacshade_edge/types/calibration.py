@@ -77,6 +77,9 @@ class RestLimits:
     local_change: Coordinate  # of the share of white, beyond motion of the whole pattern
     changed_part: Annotated[float, Meta(ge=0, lt=_MOST)]  # of the picture
 
+    def __post_init__(self) -> None:
+        require_bounds(self)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNetwork:

@@ -9,17 +9,19 @@ import logging
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import groupby
+from itertools import count, groupby
 from typing import Any
 
 import numpy as np
 import pytest
+from support.calibrated_sensor import HALF, calibrated, pressed, simulated
 from support.running_app import BASE, NEEDS_BROKER, Live, assert_accounted, paced, switched
 
+from tacshade_edge.core.contact import untouched
 from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.daemon import profiles, references
+from tacshade_edge.daemon import profiles
 from tacshade_edge.protocol import wire
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.storage.calibration import calibration_file, reference_file
 from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_BROKER
@@ -95,8 +97,8 @@ def test_a_requested_reference_outlives_a_restart_and_a_reload(
 def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
     live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(references, "REST_S", 0.2)
-    monkeypatch.setattr(references, "PERIOD_S", 0.2)
+    monkeypatch.setattr(untouched, "REST_S", 0.2)
+    monkeypatch.setattr(untouched, "PERIOD_S", 0.2)
     age = threading.Event()
 
     def ageing() -> Iterator[Any]:
@@ -122,6 +124,45 @@ def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
         info = live.last("info")
         assert info["geometry"]["calibration_crc32"] != live.calibration.crc32
         assert info["reference"]["calibration_crc32"] == live.calibration.crc32
+
+
+def test_untouched_minutes_show_where_a_touch_begins_also_after_a_restart(
+    live: Live, scripted: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(untouched, "REST_S", 0.2)
+    monkeypatch.setattr(untouched, "PERIOD_S", 0.2)
+    monkeypatch.setattr(untouched, "ENOUGH_FRAMES", 40)
+    rest = [simulated(HALF).frame((), 900 + k).image for k in range(8)]
+    faint, touch = pressed("ball", 0.1, HALF, 2.0).image, threading.Event()
+
+    def resting() -> Iterator[Any]:
+        for k in count():
+            yield from paced(faint if touch.is_set() else rest[k % len(rest)], 1)
+
+    live.calibration = calibration_file.save(live.folder / "cal.npz", calibrated(HALF, 0))
+    settings = live.document("calibration: cal.npz\nprofile: fast\n")
+
+    def crc() -> int:
+        found: int = live.last("info")["geometry"]["calibration_crc32"]
+        return found
+
+    with live.run(scripted(resting()), settings):
+        live.until("status/camera", state="streaming")
+        assert crc() == live.calibration.crc32
+        wait_until(lambda: crc() != live.calibration.crc32, 60, "limits")
+        assert live.last("info")["reference"]["origin"] == "calibration"
+        wait_until(lambda: live.last("health")["reference"]["rest_frames"] >= 40, 10, "frames")
+        touch.set()
+        assert live.until("contact", touched=1)["contact"] == 0
+    learnt = crc()
+    stored = reference_file.load(live.folder / "cal.reference.npz", live.calibration)
+    assert stored is not None
+    assert (stored.source, set(stored.limits)) == ("calibration", {"fast"})
+    before = len(live.payloads("contact"))
+    with live.run(scripted(resting()), settings):
+        live.seen.wait_for(f"{BASE}/contact", before + 1, 15)
+        assert live.until("contact", touched=1)["contact"] == 0
+        assert crc() == learnt == stored.calibration.crc32
 
 
 class Late:

@@ -10,93 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 from support.published_sensor import unmeasured
+from support.resting_sensor import BATCH_S, Resting
 
 from tacshade_edge.core.calibration.reference.references import bounds
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.core.contact.untouched import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES
 from tacshade_edge.daemon import references
 from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.references import (
-    GAP_S,
-    PERIOD_S,
-    REFERENCE_FRAMES,
-    REST_S,
-    UNTOUCHED_FRAMES,
-    References,
-    requested,
-    restored,
-)
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.daemon.references import REFERENCE_FRAMES, References, requested, restored
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
-from tacshade_edge.types import U8, Calibration, Frame, KnownObject, Need
+from tacshade_edge.types import Calibration, Frame, KnownObject, Need
 from tools.testbed.painted_sensor import FREE, painted_calibration
-
-FPS = 10
-
-
-class Resting:
-    """`References` and a stream of frames on the test's clock."""
-
-    def __init__(self, calibration: Calibration, path: Path) -> None:
-        self.path, self.changes, self.held = path, 0, False
-        self.references = References(
-            calibration, path, "left", lambda _: self._changed(), self._changed, lambda: self.held
-        )
-        self._reconstructor = make_reconstructor(calibration, PROFILES["fast"])
-        self.s = 0.0
-
-    def show(
-        self, image: U8, seconds: float, doubt: Reason | None = None, glance: bool = False
-    ) -> None:
-        """Show the same result again and again; with `glance`, of a contact only that it is one."""
-        need = Need.CONTACT if glance else Need.SHEAR
-        result = self._reconstructor.step(Frame(0, 0, 0, image), need=need)
-        result = replace(result, degraded=doubt or result.degraded) if result else None
-        for _ in range(round(seconds * FPS)):
-            self.s += 1 / FPS
-            self.references.frames.see(Frame(0, round(self.s * 1e9), 0, image), result)
-
-    def taken(self) -> int | Reason | None:
-        """The number of images of a rest, or the doubt."""
-        taken = self.references.frames.take()
-        return len(taken) if isinstance(taken, list) else taken
-
-    def _changed(self) -> None:
-        self.changes += 1
-
-    def look(self, image: U8, held: bool = False, doubt: Reason | None = None) -> bool:
-        """As long as it takes to the next look, and whether there is something to report."""
-        self.show(image, max(REST_S, PERIOD_S) + UNTOUCHED_FRAMES / FPS + 0.2, doubt)
-        return self.poll(held)
-
-    def poll(self, held: bool = False) -> bool:
-        self.held, before = held, self.changes
-        self.references.poll()
-        return self.changes > before
-
-    def take(self, image: U8, frames: int = REFERENCE_FRAMES) -> Any:
-        """The reply to ``req/reference``, if there is one after so many frames."""
-        replies: list[Any] = []
-        self.references.handle(replies.append)
-        for seq in range(frames):
-            frame = Frame(seq, round(self.s * 1e9), 0, image)
-            result = self._reconstructor.step(frame, need=self.references.need())
-            self.references.see(FrameResult(frame, None, result))
-        self.references.poll()
-        return replies.pop() if replies else None
-
-    @property
-    def health(self) -> dict[str, Any]:
-        return self.references.health()
 
 
 @pytest.fixture
 def resting(calibration: Calibration, tmp_path: Path) -> Resting:
     return Resting(calibration, tmp_path / "c.reference.npz")
-
-
-BATCH_S = UNTOUCHED_FRAMES / FPS
 
 
 def test_ten_frames_of_a_sensor_at_rest_once_a_minute(resting: Resting, pictures: Any) -> None:

@@ -30,7 +30,11 @@ from tacshade_edge.settings import load
 from tacshade_edge.settings.sensor_file import read_sensor
 from tacshade_edge.storage import npz
 from tacshade_edge.storage.calibration import calibration_file, reference_file
-from tacshade_edge.storage.calibration.reference_file import StoredReference
+from tacshade_edge.storage.calibration.reference_file import (
+    LearntLimits,
+    StoredReference,
+    limited,
+)
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.storage.meshes import read_stl, stl_bytes
 from tacshade_edge.storage.npz import Content
@@ -48,7 +52,7 @@ from tacshade_edge.storage.tables.indenters import read_indenters
 from tacshade_edge.storage.tables.labels import read_labels
 from tacshade_edge.storage.tables.pressed_file import PressedFile
 from tacshade_edge.storage.tables.presses import read_presses
-from tacshade_edge.types import Frame, Pose
+from tacshade_edge.types import Frame, Pose, RestLimits
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
@@ -274,9 +278,10 @@ def kinds() -> dict[str, Kind]:
             made[kind] = Kind(
                 {"c.npz": (root / "c.npz").read_bytes()}, read_calibration, checked=True
             )
-        reference_file.save(
-            root / "c.reference.npz", plain, StoredReference(calibration_file.with_crc(plain), 5)
-        )
+        learnt = LearntLimits(*[RestLimits(120, 1e-4, 0.03, 0.01, 0.3)] * 2)
+        limits = {"fast": learnt}
+        reference = StoredReference(limited(plain, limits), 5, limits=limits)
+        reference_file.save(root / "c.reference.npz", plain, reference)
         files = {"c.reference.npz": (root / "c.reference.npz").read_bytes()}
         made["stored reference"] = Kind(files, read_reference, checked=True)
         session = StitchFile.create(

@@ -12,10 +12,11 @@ from typing import Any
 
 from tacshade_edge.cli.shared.options import add_option
 from tacshade_edge.core.calibration.inputs import KnownPress
+from tacshade_edge.core.contact.rest import FALSE_CONTACTS
 from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.inference.rest import FALSE_CONTACTS, LearntRest, learn_rest
+from tacshade_edge.inference.rest import LearntRest, learn_rest
 from tacshade_edge.storage.recording.recording import Entry, Recording
 from tacshade_edge.types import U8, Calibration, Frame
 

@@ -17,6 +17,8 @@ TAIL = 50
 """Most values that the tail's decay is taken from; of few values, it is taken from the upper half."""
 LEAST_FRAMES = 8
 """Of fewer frames, the limit for a rate of 1 in 10,000 is a hundred times their spread."""
+FALSE_CONTACTS = 1e-4
+"""Part of the frames without a touch that is taken for one, if the user states no other."""
 WAYS = 4  # in which a picture is moved by a pixel
 KINDS = 3  # of evidence, each of which is allowed an equal part of the false contacts
 

@@ -1,12 +1,14 @@
-"""The reference that a running daemon took: one ``.npz`` file next to the calibration
-that it belongs to.
+"""What a running daemon took and learnt: the reference, and the limits of untouched frames, in one
+``.npz`` file next to the calibration that they belong to.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
@@ -15,17 +17,32 @@ from tacshade_edge.storage import npz
 from tacshade_edge.storage.atomic_files import disk_errors, sync, write_whole
 from tacshade_edge.storage.calibration.calibration_file import REFERENCE_ARRAYS, with_crc
 from tacshade_edge.storage.npz import Content, parts_of, record_of
-from tacshade_edge.types import U8, Calibration
+from tacshade_edge.types import U8, Calibration, RestLimits
 
 VERSION = 2
 
 
+Source = Literal["calibration", "request"]
+
+
+@dataclass(frozen=True, slots=True)
+class LearntLimits:
+    """A profile's limits as the daemon learnt them, and the first ones, near which they stay."""
+
+    now: RestLimits
+    first: RestLimits
+
+
 @dataclass(frozen=True, slots=True)
 class StoredReference:
-    """The calibration with a reference that the daemon took, and the Unix time when it did."""
+    """The calibration with a reference that the daemon took, or its own, and the limits that it
+    learnt (`limited`); and the Unix time when it took the reference, or learnt them.
+    """
 
     calibration: Calibration
     wall_ns: int
+    source: Source = "request"
+    limits: Mapping[str, LearntLimits] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +53,9 @@ class _File:
     noise_grey: float
     reference_white: U8
     reference_grey: U8
+    source: Source = "request"
+    limits: Mapping[str, LearntLimits] = field(default_factory=dict)  # by profile
+    limits_of: int = 0  # CRC-32 of the calibration for which they were learnt
 
 
 def path_beside(calibration_path: str | os.PathLike[str]) -> Path:
@@ -52,17 +72,24 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
     """
     taken = reference.calibration
     arrays = taken.reference_white, taken.reference_grey
-    file = _File(VERSION, belongs_to(calibrated), reference.wall_ns, taken.noise_grey, *arrays)
+    file = _File(
+        *(VERSION, belongs_to(calibrated), reference.wall_ns, taken.noise_grey, *arrays),
+        source=reference.source,
+        limits_of=calibrated.crc32 if reference.limits else 0,
+    )
+    meta, images = parts_of(file)
+    if reference.limits:
+        meta["limits"] = {name: asdict(each) for name, each in reference.limits.items()}
     with disk_errors(path.parent):
-        write_whole(path, Content(*parts_of(file)).packed())
+        write_whole(path, Content(meta, images).packed())
         sync(path.parent)
 
 
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     """Read the stored reference of a calibration, given as in its file; None if there is none.
 
-    Raises ConfigError if it is unreadable, damaged,
-    or (`ReasonCode.CALIBRATION_CHANGED`) of another calibration.
+    Raises ConfigError if it is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of another
+    calibration. Limits of one that differs in anything, such as its networks, are left out.
     """
     if not os.path.lexists(path):
         return None
@@ -82,7 +109,14 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
         raise ConfigError(
             f"{path}: not a reference file: {shown(error)}; take a new reference"
         ) from None
-    return StoredReference(with_crc(calibration), file.wall_ns)
+    limits = file.limits if file.limits_of == calibrated.crc32 else {}
+    return StoredReference(limited(calibration, limits), file.wall_ns, file.source, limits)
+
+
+def limited(calibration: Calibration, limits: Mapping[str, LearntLimits]) -> Calibration:
+    """A calibration with the limits that were learnt."""
+    now = {name: each.now for name, each in limits.items()}
+    return with_crc(replace(calibration, rest={**calibration.rest, **now}))
 
 
 def belongs_to(calibrated: Calibration) -> int:

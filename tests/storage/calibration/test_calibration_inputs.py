@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +19,15 @@ from tacshade_edge.storage.calibration.calibration_file import (
     with_crc,
 )
 from tacshade_edge.storage.calibration.reference_file import (
+    LearntLimits,
+    Source,
     StoredReference,
     belongs_to,
+    limited,
     path_beside,
 )
 from tacshade_edge.storage.npz import Content
-from tacshade_edge.types import U8
+from tacshade_edge.types import U8, RestLimits
 from tools.testbed.painted_sensor import painted_calibration
 
 SHAPE = (12, 16)
@@ -181,6 +184,36 @@ def test_it_belongs_to_a_calibration_of_the_same_images(path: Path) -> None:
     )
 
 
+LIMITS = RestLimits(120, 1e-4, height_mm=0.03, local_change=0.01, changed_part=0.3)
+LEARNT = LearntLimits(now=LIMITS, first=replace(LIMITS, height_mm=0.02))
+
+
+@pytest.mark.parametrize("source", ["calibration", "request"])
+def test_limits_that_were_learnt_come_back_for_the_very_same_calibration(
+    path: Path, source: Source
+) -> None:
+    own = with_crc(replace(CALIBRATED, rest={"accurate": LIMITS}))
+    limits = {"fast": LEARNT, "accurate": replace(LEARNT, first=LIMITS)}
+    kept = limited(own if source == "calibration" else TAKEN.calibration, limits)
+    reference_file.save(path, own, StoredReference(kept, 5, source, limits))
+    stored = reference_file.load(path, own)
+    assert stored is not None
+    assert (stored.source, stored.limits, stored.wall_ns) == (source, limits, 5)
+    assert stored.calibration.rest == {"fast": LIMITS, "accurate": LIMITS}
+    assert stored.calibration.crc32 == kept.crc32
+    # Another network finds other heights in the same images.
+    refitted = with_crc(replace(own, factors={"fast": 1.1}))
+    bare = reference_file.load(path, refitted)
+    assert bare is not None
+    assert (bare.limits, bare.calibration.rest) == ({}, own.rest)
+
+
+def _with_height(height_mm: float) -> dict[str, object]:
+    stored = asdict(LEARNT)
+    stored["now"]["height_mm"] = height_mm
+    return stored
+
+
 META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise_grey": 0.5}
 
 
@@ -191,6 +224,11 @@ META = {"version": 2, "belongs_to": belongs_to(CALIBRATED), "wall_ns": 5, "noise
         ({**META, "noise_grey": float("nan")}, ARRAYS),
         ({**META, "wall_ns": "now"}, ARRAYS),
         (META, {}),
+        ({**META, "source": "guess"}, ARRAYS),
+        ({**META, "limits": {"fast": 3}}, ARRAYS),
+        ({**META, "limits": {"fast": {"now": asdict(LIMITS)}}}, ARRAYS),
+        ({**META, "limits": {"fast": _with_height(-1.0)}}, ARRAYS),
+        ({**META, "limits": {"fast": _with_height(float("nan"))}}, ARRAYS),
         (META, {**ARRAYS, "more": np.zeros(3)}),
         (META, {**ARRAYS, "reference_grey": ARRAYS["reference_grey"][:-1]}),
         (META, {**ARRAYS, "reference_grey": ARRAYS["reference_grey"].astype(np.float32)}),
