@@ -1,1 +1,3 @@
-"""Trains the shipped networks further with a sensor's own presses; the only part that needs PyTorch (extra ``fit``)."""
+"""Trains the shipped networks further with a sensor's own presses;
+the only part that needs PyTorch (extra ``fit``).
+"""

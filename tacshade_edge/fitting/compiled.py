@@ -1,7 +1,7 @@
 """Parts of the simulator, compiled: a twin needs thousands of skins and pictures.
 
-The membrane (`simulator.skin.solve`, `slid`), what pixels see (`simulator.truth.skin_points`), and how material points
-move (`simulator.render.carried`, `simulator.truth.shear_mm`).
+The membrane (`simulator.skin.solve`, `slid`), what pixels see (`simulator.truth.skin_points`), and
+how material points move (`simulator.render.carried`, `simulator.truth.shear_mm`).
 """
 
 from __future__ import annotations
@@ -140,7 +140,9 @@ def _outside(x, y, z, height, radius, step):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=True)
-def _march(origin, along, height, radius, step, least, most, points):  # type: ignore[no-untyped-def]
+def _march(  # type: ignore[no-untyped-def]
+    origin, along, height, radius, step, least, most, points
+):
     for k in range(len(origin)):
         ox, oy, oz = origin[k]
         ax, ay, az = along[k]
@@ -206,15 +208,21 @@ def _inwards(x, y, pressed, radius, step, friction):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True, fastmath=True)
-def _carry(chart, pressed, across, down, radius, step, friction, now):  # type: ignore[no-untyped-def]
+def _carry(  # type: ignore[no-untyped-def]
+    chart, pressed, across, down, radius, step, friction, now
+):
     for p in range(len(chart)):
         x, y = chart[p, 0], chart[p, 1]
         a, b = _inwards(x, y, pressed, radius, step, friction)
         for _ in range(DRAG_STEPS):
             c, d = _inwards(
-                x - _bilinear(across, a / step, b / step), y - _bilinear(down, a / step, b / step),
-                pressed, radius, step, friction,
-            )  # fmt: skip
+                x - _bilinear(across, a / step, b / step),
+                y - _bilinear(down, a / step, b / step),
+                pressed,
+                radius,
+                step,
+                friction,
+            )
             off = max(abs(c - a), abs(d - b))
             a, b = c, d
             if off < DRAG_TOLERANCE_MM:
@@ -237,7 +245,9 @@ def _undo(now, pressed, radius, step, friction, before):  # type: ignore[no-unty
 
 
 def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
-    """Directions and chart coordinates of material points that the deformation moves, like `render.carried`."""
+    """Directions and chart coordinates of material points that the deformation moves,
+    like `render.carried`.
+    """
     flat = np.ascontiguousarray(chart_mm.reshape(-1, 2))
     now = np.empty_like(flat)
     origin = (

@@ -1,10 +1,11 @@
 """Hold a height map against its picture: how much of the picture's change it leaves unexplained.
 
-A twin's renderer draws the skin that a map describes. White of the cells that the map predicts, less that of the
-predicted skin at rest, should be what the picture shows, less the reference. The part that is left, of the squares that
-"no contact" would leave, needs no labels: it chooses prints and lengths of pins on a user's own touches, and vetoes a
-network that explains them clearly worse. It does not rank networks as truth does (`tools.studies.strangers.explained`):
-a picture does not show the scale of lengths, pins twice as long move twice as far, and the shear comes from a network.
+A twin's renderer draws the skin that a map describes. White of the cells that the map predicts,
+less that of the predicted skin at rest, should be what the picture shows, less the reference. The
+part that is left, of the squares that "no contact" would leave, needs no labels: it chooses prints
+and lengths of pins on a user's own touches, and vetoes a network that explains them clearly worse.
+It does not rank networks as truth does (`tools.studies.strangers.explained`): a picture does not
+show the scale of lengths, pins twice as long move twice as far, and the shear comes from a network.
 """
 
 from __future__ import annotations
@@ -31,14 +32,22 @@ from tacshade_edge.simulator.skin import Skin, direction_to_chart, node_directio
 from tacshade_edge.types import F32, F64, U8, Calibration, Frame, Geometry, Reconstruction
 
 SMOOTH_CELLS = 4.0
-"""Smoothing of the compared white: about a pitch, because where the edge of one tip lies says little of heights."""
+"""Smoothing of the compared white: about a pitch,
+because where the edge of one tip lies says little of heights.
+"""
 LEAST_CHANGE = 0.01
-"""RMS of the white's change over the disc below which a picture is no touch to judge by; noise changes 0.003."""
+"""RMS of the white's change over the disc below which a picture is no touch to judge by;
+noise changes 0.003.
+"""
 LIKELY = 1.02
-"""A print that leaves at most this many times the best one's part of the reference unexplained belongs to the cloud.
-Prints that leave more have wrong sizes: a cap on a pin looks like a shorter pin."""
+"""A print that leaves at most this many times the best one's part of the reference unexplained
+belongs to the cloud. Prints that leave more have wrong sizes: a cap on a pin looks like a shorter
+pin.
+"""
 ALIKE = 1.05
-"""A likely print explains touches as well as the best one if it leaves at most this many times as much of them."""
+"""A likely print explains touches as well as the best one if it leaves at most this many times
+as much of them.
+"""
 JUDGES = tuple(LADDER)
 """The profiles whose maps choose a print."""
 _ROUNDS = 5
@@ -47,8 +56,9 @@ _MOVED_MM = 1e-3
 
 
 def skin_of(geometry: Geometry, made: Reconstruction) -> Skin:
-    """The skin that a reconstruction describes. Its shear contains the material's whole motion, so the renderer's model
-    must have no `friction`.
+    """The skin that a reconstruction describes.
+
+    Its shear contains the material's whole motion, so the renderer's model must have no `friction`.
     """
     flat = undeformed(geometry.skin_radius_mm)
     directions = node_directions(geometry.skin_radius_mm).astype(np.float64)
@@ -102,7 +112,9 @@ class Changes:
 
 
 class Twin:
-    """Predicts the change that a map of one sensor makes, with a print that was found in its reference."""
+    """Predicts the change that a map of one sensor makes,
+    with a print that was found in its reference.
+    """
 
     def __init__(self, calibration: Calibration, found: Found) -> None:
         model, layout = found.at(found.values)
@@ -136,8 +148,10 @@ LEAST_TOUCHES = 8
 
 
 class Touches:
-    """Pictures of unlabelled touches, to be held against what networks make of them. Those that hardly changed are left
-    out. Raises ConfigError (fewer than `LEAST_TOUCHES` are left).
+    """Pictures of unlabelled touches, to be held against what networks make of them.
+
+    Those that hardly changed are left out. Raises ConfigError
+    (fewer than `LEAST_TOUCHES` are left).
     """
 
     def __init__(self, calibration: Calibration, images: Sequence[U8]) -> None:
@@ -161,8 +175,8 @@ class Touches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The prints that explain touches best, the best first, its twin, and the share of the touches' changes that the
-    heights of each shipped network leave unexplained with it, by profile.
+    """The prints that explain touches best, the best first, its twin, and the share of the touches'
+    changes that the heights of each shipped network leave unexplained with it, by profile.
     """
 
     prints: tuple[Found, ...]
@@ -183,9 +197,11 @@ class Choice:
 def chosen_prints(
     calibration: Calibration, prints: Sequence[Found], images: Sequence[U8], stated: bool = False
 ) -> Choice | None:
-    """Choose, by touches, among the prints that the reference shows and its own patches, white tips with pins of
-    several lengths; None without any. What the shipped networks make of the touches is right on average, so the length
-    that explains it best is the pins' own, unless it is `stated`. Raises ConfigError (too few touches).
+    """Choose, by touches, among the prints that the reference shows and its own patches, white tips
+    with pins of several lengths; None without any. What the shipped networks make of the touches is
+    right on average, so the length that explains it best is the pins' own, unless it is `stated`.
+
+    Raises ConfigError (too few touches).
     """
     tried = candidates(calibration, prints, stated)
     if not tried:
@@ -213,8 +229,8 @@ def chosen_prints(
 def candidates(
     calibration: Calibration, prints: Sequence[Found], stated: bool = False
 ) -> list[list[Found]]:
-    """The prints and the reference's own patches, those of white tips with each of `LENGTHS_PITCHES`, unless the length
-    of their pins is stated.
+    """The prints and the reference's own patches, those of white tips with each of
+    `LENGTHS_PITCHES`, unless the length of their pins is stated.
     """
     own = own_picture(calibration)
     made = []
@@ -228,8 +244,9 @@ def candidates(
 def shares_left(
     calibration: Calibration, prints: Sequence[Found], profile: str, images: Sequence[U8]
 ) -> list[float | None]:
-    """The share of each picture's change that a profile's heights leave unexplained, by the print that explains all
-    pictures best; None for a picture that hardly changed, and for all without a print.
+    """The share of each picture's change that a profile's heights leave unexplained, by the print
+    that explains all pictures best; None for a picture that hardly changed, and for all without a
+    print.
     """
     changes = Changes(calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[profile])

@@ -1,4 +1,6 @@
-"""``calibrate --fit``: find a sensor's print, simulate a twin, train the networks on it, keep those that are better."""
+"""``calibrate --fit``: find a sensor's print, simulate a twin, train the networks on it,
+keep those that are better.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ from tacshade_edge.types import F32, U8, Calibration, FittedNetwork
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Numbers of batches, of them held out, of skins in a batch, of prints that show these, and of steps."""
+    """Numbers of batches, of them held out, of skins in a batch, of prints that show these,
+    and of steps.
+    """
 
     batches: int
     held_out: int
@@ -58,13 +62,18 @@ class Effort:
 
 FULL = Effort(batches=52, held_out=4, skins=13, views=2, steps=1500)
 UNEXPLAINED_ALONE = 0.45
-"""Greatest part of the reference's pattern (RMS) that a print may leave unexplained without touches or presses, which
-would show whether the networks of a wrong print are worse."""
+"""Greatest part of the reference's pattern (RMS) that a print may leave unexplained without touches
+or presses, which would show whether the networks of a wrong print are worse.
+"""
 MOST_LEFT = 0.9
-"""Greatest part of the touches' changes that the best print may leave unexplained: no print moves like those pins."""
+"""Greatest part of the touches' changes that the best print may leave unexplained:
+no print moves like those pins.
+"""
 CONTRADICTED = 1.2
-"""Stated sizes are wrong if they leave more than this many times as much unexplained as those found without them: pins
-stated a fifth too long or too short leave 1.4 and 1.6 times as much, exact ones 1.0."""
+"""Stated sizes are wrong if they leave more than this many times as much unexplained as those found
+without them: pins stated a fifth too long or too short leave 1.4 and 1.6 times as much, exact ones
+1.0.
+"""
 MORE_TOUCHES = (
     "record twenty touches of anything (`capture` does) and repeat with --touches: "
     "they choose the print and judge the fit"
@@ -72,7 +81,9 @@ MORE_TOUCHES = (
 MOST_WORKERS = 4
 _SAY_S = 5.0
 _SLOW_S = 1800.0
-"""Simulating and training take about as long: a fit with one that takes longer than this is over an hour."""
+"""Simulating and training take about as long: a fit with one that takes longer
+than this is over an hour.
+"""
 NAMES = (DEFAULT, *(name for name in LADDER if name != DEFAULT))
 """The fitted networks, the default profile's first."""
 _COSTS = {"accurate": 1.0, "balanced": 0.4, "fast": 0.15}
@@ -84,8 +95,8 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """The calibration with the networks that were kept, what was found of the sensor, the reports, advice, and all
-    networks, with those that were not kept.
+    """The calibration with the networks that were kept, what was found of the sensor, the reports,
+    advice, and all networks, with those that were not kept.
     """
 
     calibration: Calibration
@@ -104,11 +115,14 @@ def fit(
     mechanics: Mechanics | None = None,
     touches: Sequence[U8] = (),
 ) -> FitResult:
-    """Fit every network to a sensor. `calibration`: without fitted networks. `presses`: the presses that `calibrate`
-    used; may be empty. `stated`: sizes of the print in mm from its drawing, by the keys of ``print`` in SENSOR.yaml;
-    they are not fitted. `folder`: keeps finished steps, so that an interrupted fit goes on; removed at the end.
-    `mechanics`: the skin's if they are known. `touches`: pictures of touches without labels, which choose the print and
-    judge the networks where there are no presses. Raises ConfigError (too few of the touches show a touch).
+    """Fit every network to a sensor.
+
+    `calibration`: without fitted networks. `presses`: the presses that `calibrate` used; may be
+    empty. `stated`: sizes of the print in mm from its drawing, by the keys of ``print`` in
+    SENSOR.yaml; they are not fitted. `folder`: keeps finished steps, so that an interrupted fit
+    goes on; removed at the end. `mechanics`: the skin's if they are known. `touches`: pictures of
+    touches without labels, which choose the print and judge the networks where there are no
+    presses. Raises ConfigError (too few of the touches show a touch).
     """
     effort, stated = FULL, stated or {}
     say("fit: finding the print in the reference")
@@ -121,7 +135,10 @@ def fit(
         doubt = (
             f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
         )
-        found = f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:"
+        found = (
+            f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference "
+            "shows:"
+        )
         return FitResult(calibration, (found, *_words(shown, Mechanics(), {})))
     choice = None
     pictures = touches or [press.image for press in presses]
@@ -173,7 +190,7 @@ def fit(
 
 
 def _refused(prints: Sequence[Found], choice: Choice | None) -> tuple[str, ...]:
-    """Why nothing is fitted, and then what a person can do about it; empty if there is no reason."""
+    """Why nothing is fitted, and then what a person can do about it; empty without a reason."""
     if choice is not None:
         if choice.left <= MOST_LEFT:
             return ()
@@ -182,17 +199,26 @@ def _refused(prints: Sequence[Found], choice: Choice | None) -> tuple[str, ...]:
         )
         return (
             f"{left}: nothing is fitted",
-            "compare skin_radius_mm, camera_distance_mm and the visible circle with the sensor's drawing",
+            (
+                "compare skin_radius_mm, camera_distance_mm and the visible circle with the "
+                "sensor's drawing"
+            ),
         )
     if not prints:
         return (
-            "no known kind of print looks like the reference (no pins were found): nothing is fitted",
+            (
+                "no known kind of print looks like the reference (no pins were found): "
+                "nothing is fitted"
+            ),
             MORE_TOUCHES,
         )
     if prints[0].residual > UNEXPLAINED_ALONE:
         doubt = f"{100 * prints[0].residual:.0f} % of the reference unexplained"
         return (
-            f"the likeliest print leaves {doubt}: nothing is fitted without touches that judge the fit",
+            (
+                f"the likeliest print leaves {doubt}: "
+                "nothing is fitted without touches that judge the fit"
+            ),
             MORE_TOUCHES,
         )
     return ()
@@ -225,7 +251,9 @@ _steps_done: Any = None
 
 
 def _alone(done: Any) -> None:
-    """Prepare a worker: one thread, because the workers share the cores; `done` counts the steps of each training."""
+    """Prepare a worker: one thread, because the workers share the cores;
+    `done` counts the steps of each training.
+    """
     global _steps_done
     _steps_done = done
     cv2.setNumThreads(1)
@@ -233,9 +261,14 @@ def _alone(done: Any) -> None:
 
 
 def _simulated(
-    steps: Steps, name: str, calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, seed: int,
+    steps: Steps,
+    name: str,
+    calibration: Calibration,
+    prints: Sequence[Found],
+    mechanics: Mechanics,
+    seed: int,
     effort: Effort,
-) -> None:  # fmt: skip
+) -> None:
     steps.save_frames(
         name, simulate(calibration, prints, mechanics, seed, effort.skins, effort.views)
     )
@@ -298,7 +331,7 @@ def _worked(
 def _wait(
     jobs: Sequence[Future[None]], part_of: Callable[[int], float], what: str, say: Say
 ) -> None:
-    """Wait for jobs, and say every few seconds which part is done; raise what one of them raised."""
+    """Wait for jobs, and say every few seconds which is done; raise what one of them raised."""
     began_s, slow = time.monotonic(), False
     waiting = set(jobs)
     while waiting:
@@ -311,7 +344,8 @@ def _wait(
             say(f"fit: {what}, {100 * part:.0f} % done, about {left_s:.0f} s left")
             if left_s > _SLOW_S and not slow:
                 say(
-                    "fit: a desktop is faster: press Ctrl-C, run the same command there on these files, copy the result"
+                    "fit: a desktop is faster: press Ctrl-C, run the same command there on these "
+                    "files, copy the result"
                 )
                 slow = True
 
@@ -343,7 +377,10 @@ def _words(
         )
     unexplained = f"{100 * best.residual:.0f} % of the pattern unexplained"
     lines = [
-        f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} ({unexplained})"
+        (
+            f"found a print of {best.kind.name}, pitch {pitch_mm:.2f} mm: {', '.join(sizes)} "
+            f"({unexplained})"
+        )
         if not best.kind.patches
         else f"took the tips from the sensor's own picture: pitch {pitch_mm:.2f} mm, {sizes[0]}"
     ]
@@ -351,7 +388,8 @@ def _words(
         decay = " to ".join(f"{each:.1f}" for each in mechanics.decay_mm)
         friction = " to ".join(f"{each:.1f}" for each in mechanics.friction)
         lines.append(
-            f"found that the skin's dent decays over {decay} mm beside a contact, and friction {friction}"
+            f"found that the skin's dent decays over {decay} mm beside a contact, "
+            f"and friction {friction}"
         )
     return tuple(lines)
 

@@ -1,13 +1,16 @@
-"""Find the print of a sensor in its reference: where its pins are, how long and how thick they are, its markers.
+"""Find the print of a sensor in its reference: where its pins are, how long and how thick they are,
+its markers.
 
-From where the pins seem to be (`lattice`), lengths, radii and the lattice are fitted to the white of the cells as the
-networks receive it (Levenberg and Marquardt). Pins near the rim are seen from the side, so how far a tip lies from its
-base gives the length, which statistics of the picture cannot distinguish from the radius of the base. The picture's
-blur is fitted as well, because a blurred pin shows less black than a sharp one, as a thinner pin does.
+From where the pins seem to be (`lattice`), lengths, radii and the lattice are fitted to the white
+of the cells as the networks receive it (Levenberg and Marquardt). Pins near the rim are seen from
+the side, so how far a tip lies from its base gives the length, which statistics of the picture
+cannot distinguish from the radius of the base. The picture's blur is fitted as well, because a
+blurred pin shows less black than a sharp one, as a thinner pin does.
 
-The white of cells is a staircase, on which differences lead astray, and pins that stand a little beside their place
-look blurred. So each pin is registered by itself (Lucas and Kanade, 1981), and sizes and blur are then those of the
-minimum of a quadratic through many random ones (a response surface; Box and Wilson, 1951).
+The white of cells is a staircase, on which differences lead astray, and pins that stand a little
+beside their place look blurred. So each pin is registered by itself (Lucas and Kanade, 1981), and
+sizes and blur are then those of the minimum of a quadratic through many random ones (a response
+surface; Box and Wilson, 1951).
 """
 
 from __future__ import annotations
@@ -48,25 +51,31 @@ from tacshade_edge.types import F32, F64, Calibration
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
 STEPS = np.array((0.06, 0.012, 0.012, 0.015))
 SIZES, MARKERS = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2))), (0.35, 0.42, 0.5)
-"""Sizes from which a fit may start: those that explain the reference best are followed, so that it does not end in a
-minimum of another print."""
+"""Sizes from which a fit may start: those that explain the reference best are followed, so that it
+does not end in a minimum of another print.
+"""
 MERGED, APART = 0.5, 0.28
-"""Radii of markers in triangles that merge, so that nothing shows their size, and of those that hardly do. With a free
-size, fits of merged ones stop in minima of other prints."""
+"""Radii of markers in triangles that merge, so that nothing shows their size, and of those that
+hardly do. With a free size, fits of merged ones stop in minima of other prints.
+"""
 STARTS, FINISHED = 2, 3
 BLUR_STEP_PX = 0.08
 BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0.012, 0.018, 0.06)))
-"""Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): lengths, tips, bases, blur. Where pins
-stand is known better in the later ones."""
+"""Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): lengths, tips,
+bases, blur. Where pins stand is known better in the later ones.
+"""
 LEAST, MOST = np.array((*LOWEST[:3], BLURS_PX[0])), np.array((*HIGHEST[:3], BLURS_PX[1]))
 DRAWN = 60
 ALIKE_CELLS = 10
 """Neighbouring cells err alike: this many count as one in the covariance."""
 REGISTERED_CELLS, REGISTERED_PART, LEAST_SLOPE = 0.7, 0.88, 1e-3
-"""Smoothing of the white against which pins are registered, the part of the disc's radius within which they are, and
-the slope squared of white that is flat."""
+"""Smoothing of the white against which pins are registered, the part of the disc's radius within
+which they are, and the slope squared of white that is flat.
+"""
 FLATTEST, FARTHEST, LEAST_PINS = 0.02, 1.2, 12
-"""The least curvature of a quadratic, as a part of its greatest, and the farthest step, in halves of a box."""
+"""The least curvature of a quadratic, as a part of its greatest, and the farthest step,
+in halves of a box.
+"""
 
 
 def identify(
@@ -157,8 +166,8 @@ def identify(
 
 
 def refined(problem: Problem, values: F64, free: Sequence[int]) -> tuple[F64, F64]:
-    """Find where the pins stand, then the values `free`, and these again with each pin where it appears; and their
-    covariance.
+    """Find where the pins stand, then the values `free`, and these again with each pin where it
+    appears; and their covariance.
     """
     moved_px: F64 | float = 0.0
     covariance = np.zeros((len(values), len(values)))
@@ -225,7 +234,9 @@ def with_lattice(problem: Problem, values: F64, moved_px: F64) -> F64:
 def quadratic(
     residual: Callable[[F64], F64], values: F64, free: Sequence[int], box: F64, seed: int
 ) -> tuple[F64, F64]:
-    """The values at the minimum of the quadratic through the costs of random values in a box, and their covariance."""
+    """The values at the minimum of the quadratic through the costs of random values in a box,
+    and their covariance.
+    """
     at, n = list(free), len(free)
     columns_of = [min(k, 3) for k in at]
     half, low, high = box[columns_of], LEAST[columns_of], MOST[columns_of]
@@ -270,7 +281,8 @@ def levenberg(
     high: F64,
     rounds: int,
 ) -> tuple[F64, float, F64]:
-    """Least squares over the `free` values with differences of `steps`: the values, their cost, the last Jacobian.
+    """Least squares over the `free` values with differences of `steps`:
+    the values, their cost, the last Jacobian.
 
     SciPy's methods choose steps for smooth functions; the white of cells is a staircase.
     """

@@ -1,5 +1,5 @@
-"""Judge fitted networks by a sensor's presses, or by touches without labels: which part of the way, and whether to keep
-them.
+"""Judge fitted networks by a sensor's presses, or by touches without labels: which part of the way,
+and whether to keep them.
 """
 
 from __future__ import annotations
@@ -28,10 +28,13 @@ from tacshade_edge.types import F32, Calibration, FittedNetwork
 
 @dataclass(frozen=True, slots=True)
 class OnPresses:
-    """A network's errors on presses. `errors_mm`: mean error of h for each indenter, at the cells where its surface is
-    known; empty if no contact is found. `presses`: presses whose contact the network finds. `factor`: on h; other than
-    1 if every indenter's error, with the factor that the others show, is less in the mean: `errors_mm` are then these.
-    `error_scale`: factor on σ; None without presses or a model of the network's errors.
+    """A network's errors on presses.
+
+    `errors_mm`: mean error of h for each indenter, at the cells where its surface is known; empty
+    if no contact is found. `presses`: presses whose contact the network finds. `factor`: on h;
+    other than 1 if every indenter's error, with the factor that the others show, is less in the
+    mean: `errors_mm` are then these. `error_scale`: factor on σ; None without presses or a model of
+    the network's errors.
     """
 
     errors_mm: dict[str, float]
@@ -46,10 +49,15 @@ class OnPresses:
 
 
 def on_presses(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress],
+    calibration: Calibration,
+    profile: Profile,
+    network: Network,
+    presses: Sequence[KnownPress],
     factor: float | None = None,
-) -> OnPresses:  # fmt: skip
-    """Measure a network on presses, with the factor on h that it has, or with one that they show."""
+) -> OnPresses:
+    """Measure a network on presses, with the factor on h that it has,
+    or with one that they show.
+    """
     geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
     inside = rays_in_image(solver.grid, calibration).inside
@@ -84,12 +92,17 @@ def on_presses(
     gains = factor is not None or sum(scaled.values()) < sum(plain.values())
     in_sigma = [
         errors_in_sigma(
-            network.sigma, np.float32(factors[name] if gains else 1) * height, truth, inverse.contact_logit,
-            inverse.untrusted_logit, use, geometry,
+            network.sigma,
+            np.float32(factors[name] if gains else 1) * height,
+            truth,
+            inverse.contact_logit,
+            inverse.untrusted_logit,
+            use,
+            geometry,
         )
         for name, _, inverse, height, truth, use in seen
         if network.sigma is not None
-    ]  # fmt: skip
+    ]
     return OnPresses(
         scaled if gains else plain,
         len(seen),
@@ -99,30 +112,40 @@ def on_presses(
 
 
 PARTS = (0.25, 0.5, 0.75, 1.0)
-"""Parts of the way from the shipped weights to the trained ones, among which presses choose. Weights between them keep
-what the shipped network knows of other skins (M. Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+"""Parts of the way from the shipped weights to the trained ones, among which presses choose.
+
+Weights between them keep what the shipped network knows of other skins (M. Wortsman et al., Robust
+fine-tuning of zero-shot models, CVPR 2022).
 """
 WHOLE_WAY, LENGTH_UNKNOWN = 1.0, 0.5
-"""The part of the way where neither presses nor touches judge: half of it for white pins, because nothing at rest shows
-how long they are. On sensors of other mechanics than the shipped networks learnt, the whole way is best."""
+"""The part of the way where neither presses nor touches judge: half of it for white pins, because
+nothing at rest shows how long they are. On sensors of other mechanics than the shipped networks
+learnt, the whole way is best.
+"""
 CLEARLY, TOLERATED = 0.95, 1.1
-"""How much better than the part without presses or touches another part is on them that is taken instead, and how much
-worse than the shipped network a fitted one may be on them: presses are few and of simple shapes, and none is dragged;
-what touches leave unexplained hardly ranks networks."""
+"""How much better than the part without presses or touches another part is on them that is taken
+instead, and how much worse than the shipped network a fitted one may be on them: presses are few
+and of simple shapes, and none is dragged; what touches leave unexplained hardly ranks networks.
+"""
 
 
 USUAL_LEFT = 0.3
-"""The share of touches' changes that maps leave unexplained where σ of the shipped networks is right."""
+"""The share of touches' changes that maps leave unexplained where σ
+of the shipped networks is right.
+"""
 
 
 def error_scales_of(lefts: Mapping[str, float]) -> dict[str, float]:
-    """Factors on σ of shipped networks, by the shares of touches' changes that their heights leave unexplained."""
+    """Factors on σ of shipped networks, by the shares of touches' changes
+    that their heights leave unexplained.
+    """
     return {name: error_scale_of(name, left) for name, left in lefts.items()}
 
 
 def error_scale_of(name: str, left: float) -> float:
-    """Factor on σ of a network, by the share of touches' changes that its heights leave unexplained. Errors go with the
-    change that is left, the share with its square. An explained change may hide a wrong scale: nothing shrinks σ.
+    """Factor on σ of a network, by the share of touches' changes that its heights leave
+    unexplained. Errors go with the change that is left, the share with its square. An explained
+    change may hide a wrong scale: nothing shrinks σ.
     """
     sigma = load_network(name).sigma
     alone = 1.0 if sigma is None else sigma.scale_without_presses
@@ -133,12 +156,13 @@ def error_scale_of(name: str, left: float) -> float:
 class NetworkReport:
     """Errors of a network, as shipped and fitted.
 
-    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that training did not
-    see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's presses, from which no network has
-    learnt. None without presses; the second also if the fitted network misses more of them. `shipped_left`,
-    `fitted_left`: the share of the touches' changes that the heights leave unexplained; None without touches, or where
-    presses judge. `part`: of the way from the shipped weights to the trained ones. `left`: the share left at each part
-    that was tried, without touches none.
+    `name`: a profile. `shipped_mm`, `fitted_mm`: mean error in contact on frames of the twin that
+    training did not see. `shipped_presses_mm`, `fitted_presses_mm`: mean error on the sensor's
+    presses, from which no network has learnt. None without presses; the second also if the fitted
+    network misses more of them. `shipped_left`, `fitted_left`: the share of the touches' changes
+    that the heights leave unexplained; None without touches, or where presses judge. `part`: of the
+    way from the shipped weights to the trained ones. `left`: the share left at each part that was
+    tried, without touches none.
     """
 
     name: str
@@ -153,8 +177,8 @@ class NetworkReport:
 
     @property
     def kept(self) -> bool:
-        """Whether the fitted network goes into the calibration: it is better on the twin, and on touches, or tolerable
-        on presses.
+        """Whether the fitted network goes into the calibration: it is better on the twin, and on
+        touches, or tolerable on presses.
         """
         if self.fitted_mm >= self.shipped_mm:
             return False
@@ -168,12 +192,18 @@ class NetworkReport:
     @property
     def line(self) -> str:
         """The report as one line of text."""
-        off = f"off by {self.fitted_mm:.2f} mm on simulated frames, {self.shipped_mm:.2f} mm as shipped"
+        off = (
+            f"off by {self.fitted_mm:.2f} mm on simulated frames, "
+            f"{self.shipped_mm:.2f} mm as shipped"
+        )
         line = f"fit of {self.name}: {off}"
         if self.shipped_presses_mm is not None and self.fitted_presses_mm is None:
             line += "; it misses more of your presses"
         elif self.fitted_presses_mm is not None:
-            line += f"; {self.fitted_presses_mm:.2f} mm on your presses, {self.shipped_presses_mm:.2f} mm as shipped"
+            line += (
+                f"; {self.fitted_presses_mm:.2f} mm on your presses, "
+                f"{self.shipped_presses_mm:.2f} mm as shipped"
+            )
         elif self.shipped_left is not None and self.fitted_left is not None:
             left, before = 100 * self.fitted_left, 100 * self.shipped_left
             line += (
@@ -196,8 +226,9 @@ def judged(
     weights: F32,
     alone: float,
 ) -> tuple[FittedNetwork, NetworkReport]:
-    """Judge the weights, or the best of `PARTS` of the way to them by presses, or else by touches. `parts`: frames of
-    the twin that training did not see. `alone`: the part without either.
+    """Judge the weights, or the best of `PARTS` of the way to them by presses, or else by touches.
+
+    `parts`: frames of the twin that training did not see. `alone`: the part without either.
     """
     maps = training.maps_of(calibration, parts, name)
     unit_mm = calibration.geometry.skin_radius_mm * skin_radii(calibration)
@@ -289,7 +320,9 @@ def with_error_scale(fitted: FittedNetwork, name: str, left: float) -> FittedNet
 
 
 def chosen(errors: Mapping[float, float | None], alone: float) -> float:
-    """The part of the way with the least error, or `alone` if no other is clearly better; None is the greatest."""
+    """The part of the way with the least error, or `alone` if no other is clearly better;
+    None is the greatest.
+    """
     known = {part: math.inf if error is None else error for part, error in errors.items()}
     best = min(known, key=known.__getitem__)
     return best if known[best] < CLEARLY * known[alone] else alone

@@ -27,10 +27,11 @@ class Tips:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Tips of pins on a lattice of the equal-area chart, in mm: its origin, its steps, its widening to the rim.
+    """Tips of pins on a lattice of the equal-area chart, in mm:
+    its origin, its steps, its widening to the rim.
 
-    The tips are those of pins `NOMINAL_PITCHES` long: where tips appear is known well, and so does not depend on the
-    length that is fitted.
+    The tips are those of pins `NOMINAL_PITCHES` long: where tips appear is known well, and so does
+    not depend on the length that is fitted.
     """
 
     values: F64
@@ -97,8 +98,9 @@ def pitch_mm_of(calibration: Calibration) -> float:
 def find_tips(
     calibration: Calibration, white_tips: bool, length_pitches: float, divided: bool = False
 ) -> F64:
-    """Image points (N, 2), col and row, of blobs that are about a pitch apart; with `divided`, brightness is relative
-    to its surroundings, so that tips in the shade count like those under a lamp.
+    """Image points (N, 2), col and row, of blobs that are about a pitch apart; with `divided`,
+    brightness is relative to its surroundings, so that tips in the shade count like those under a
+    lamp.
     """
     geometry, disc = calibration.geometry, calibration.geometry.disc
     pitch_mm = pitch_mm_of(calibration)

@@ -1,9 +1,9 @@
-"""A print of no known kind, drawn from the sensor's own picture: white tips carry the patches of the reference around
-them.
+"""A print of no known kind, drawn from the sensor's own picture: white tips carry the patches of
+the reference around them.
 
-A pixel belongs to the nearest tip. It moves to where the skin moves that tip, and grows as the tip comes nearer to the
-camera. Glare stands still, because it comes from the lamp. What pins hide and uncover is not drawn, so a print of a
-known kind explains its own sensors better.
+A pixel belongs to the nearest tip. It moves to where the skin moves that tip, and grows as the tip
+comes nearer to the camera. Glare stands still, because it comes from the lamp. What pins hide and
+uncover is not drawn, so a print of a known kind explains its own sensors better.
 """
 
 from __future__ import annotations
@@ -30,11 +30,15 @@ from tacshade_edge.types import F32, F64, I64, Bool, Calibration
 
 PATCHES = Kind(white_tips=True, marker_parts=(), profile=FRUSTUM, patches=True)
 LENGTHS_PITCHES = (0.3, 0.45, 0.65, 0.9, 1.2, 1.6, 2.0)
-"""Lengths of pins among which touches choose: a picture at rest shows where tips are, but not how deep they lie."""
+"""Lengths of pins among which touches choose: a picture at rest shows where tips are,
+but not how deep they lie.
+"""
 USUAL_PITCHES = 0.9
 """The length with which tips are placed before touches show it."""
 LENGTH_DEVIATION = 0.15
-"""Standard deviation of a length that touches chose, as a part of it: half a step of `LENGTHS_PITCHES`."""
+"""Standard deviation of a length that touches chose, as a part of it:
+half a step of `LENGTHS_PITCHES`.
+"""
 LEAST_TIPS = 20
 GLARE = 1.5
 """What is brighter than this many times a bright tip is glare."""
@@ -42,7 +46,9 @@ _BRIGHT_PERCENTILE = 75.0
 _GLARE_PX = 5
 _BLUR_PX = 1.0
 _TIP_PITCHES = (0.25, 0.25, 0.4)
-"""Radii of tips, bases and markers: only the patch of skin over which a pin feels the slope depends on them."""
+"""Radii of tips, bases and markers: only the patch of skin over
+which a pin feels the slope depends on them.
+"""
 
 
 def own_picture(calibration: Calibration) -> Found | None:
@@ -124,8 +130,8 @@ class PatchRenderer(TwinRenderer):
         return np.where(self._shown, moved, self._still)
 
     def _tips(self, skin: Skin) -> tuple[F64, F64]:
-        """Where the tips appear, (N, 2), col and row, and their distance from the camera along its axis, in mm (1 for
-        the orthographic camera, which shows everything at one scale).
+        """Where the tips appear, (N, 2), col and row, and their distance from the camera along its
+        axis, in mm (1 for the orthographic camera, which shows everything at one scale).
         """
         marks = self.print
         pins = self._pins_on(skin, smoothed(skin, float(np.mean(marks.pin_base_mm))))

@@ -46,18 +46,23 @@ PARAMETERS = (
 )
 DEVIATIONS = np.array((0.05, 0.007, 0.012, 0.02))
 WHITE_TIP_DEVIATIONS = np.array((0.35, 0.015, 0.03, 0.02))
-"""Standard deviations of `PARAMETERS` by which a fit is off besides its own doubt. Only the size of their tips shows
-how long white pins are."""
+"""Standard deviations of `PARAMETERS` by which a fit is off besides its own doubt.
+
+Only the size of their tips shows how long white pins are.
+"""
 BLURS_PX = (0.2, 3.0)
 SHARP_PX, SHARPNESS_WEIGHT = 0.7, 200.0
-"""`sharpness` compares gradients with those after a blur of this standard deviation. Its weight in a fit lets a
-difference of one in a hundred count as much as a change of all cells by 0.02."""
+"""`sharpness` compares gradients with those after a blur of this standard deviation.
+
+Its weight in a fit lets a difference of one in a hundred count as much as a change of all cells
+by 0.02.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A way to make a print: white tips, or dark pins beside markers in the lattice's triangles or cells; or `patches`
-    of the sensor's own picture around white tips (`fitting.patches`).
+    """A way to make a print: white tips, or dark pins beside markers in the lattice's triangles or
+    cells; or `patches` of the sensor's own picture around white tips (`fitting.patches`).
     """
 
     white_tips: bool
@@ -90,11 +95,14 @@ KINDS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A print that was fitted to a reference. `values` (float64 (P,)): `PARAMETERS`, the lattice's values if there is
-    one, then the blur in px. `covariance`: float64 (P, P). `residual`: RMS of the white that the print leaves
-    unexplained, over that of the reference's white. `light`, float32 (H, W): grey level of white features, or, for a
-    print of patches, the reference inside the disc. `around`: the reference outside it, for patches. `deviations`
-    (float64 (4,)): standard deviations of `PARAMETERS` by which a fit is off besides its own doubt.
+    """A print that was fitted to a reference.
+
+    `values` (float64 (P,)): `PARAMETERS`, the lattice's values if there is one, then the blur in
+    px. `covariance`: float64 (P, P). `residual`: RMS of the white that the print leaves
+    unexplained, over that of the reference's white. `light`, float32 (H, W): grey level of white
+    features, or, for a print of patches, the reference inside the disc. `around`: the reference
+    outside it, for patches. `deviations` (float64 (4,)): standard deviations of `PARAMETERS` by
+    which a fit is off besides its own doubt.
     """
 
     kind: Kind
@@ -112,14 +120,18 @@ class Found:
         return sensor_with(self.base, self.kind, self.tips, values)
 
     def cloud(self) -> F64:
-        """Covariance of the values that the reference leaves possible, (P, P): the fit's, and errors of the model."""
+        """Covariance of the values that the reference leaves possible, (P, P):
+        the fit's, and errors of the model.
+        """
         model = np.zeros(len(self.values))
         model[: len(PARAMETERS)] = self.deviations
         return np.asarray(4 * self.covariance + np.diag(model**2))
 
 
 def seen_light(calibration: Calibration) -> tuple[F32, float]:
-    """Grey level of white features over the image, float32 (H, W), and that of dark ones as a part of it."""
+    """Grey level of white features over the image, float32 (H, W),
+    and that of dark ones as a part of it.
+    """
     grey, disc = calibration.reference_grey, calibration.geometry.disc
     mask = disc_mask(grey.shape[0], grey.shape[1], disc)
     side = 2 * round(0.7 * calibration.pitch_px) + 1
@@ -187,7 +199,9 @@ def sensor_with(
 
 
 def lattice_px(model: SensorModel, lattice: Lattice, steps: F64) -> F64:
-    """Where tips that are so many steps of a lattice from its origin appear: (N, 2), col and row."""
+    """Where tips that are so many steps of a lattice from its origin appear:
+    (N, 2), col and row.
+    """
     r = model.skin_radius_mm
     tips = equal_area_to_direction(lattice.at(steps, r), r) * (r - NOMINAL_PITCHES * model.pitch_mm)
     return project(model.geometry, tips)
@@ -196,7 +210,9 @@ def lattice_px(model: SensorModel, lattice: Lattice, steps: F64) -> F64:
 def tips_px(
     model: SensorModel, layout: Layout, parts: Sequence[tuple[float, float]] = ((0.0, 0.0),)
 ) -> F64:
-    """Where tips appear, (N, 2), col and row; with `parts`, what lies parts of the lattice's steps beside them."""
+    """Where tips appear, (N, 2), col and row; with `parts`,
+    what lies parts of the lattice's steps beside them.
+    """
     if not parts:
         return np.zeros((0, 2))
     if isinstance(layout, Tips):
@@ -207,7 +223,9 @@ def tips_px(
 
 
 def print_of(model: SensorModel, kind: Kind, layout: Layout, moved_px: F64 | float = 0.0) -> Print:
-    """The print with the model's pins and markers in these places, tips moved by `moved_px` (N, 2)."""
+    """The print with the model's pins and markers in these places, tips moved by `moved_px` (N,
+    2).
+    """
     r = model.skin_radius_mm
 
     def on_skin(px: F64) -> F64:
@@ -261,7 +279,9 @@ class TwinRenderer(Renderer):
 
 
 def sharpness(grey: U8, mask: Bool) -> float:
-    """How much steeper a picture is than after a slight blur, as a logarithm; it does not depend on the light."""
+    """How much steeper a picture is than after a slight blur, as a logarithm;
+    it does not depend on the light.
+    """
 
     def steep(image: F32) -> float:
         by_axis = (

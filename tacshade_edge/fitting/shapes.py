@@ -1,4 +1,5 @@
-"""Random objects for training: none of `simulator.press`, but many objects like them and many others.
+"""Random objects for training: none of `simulator.press`,
+but many objects like them and many others.
 
 Outside an object, distances are exact or too small but never too large, as the simulator requires.
 """

@@ -38,7 +38,9 @@ DrawPresses = Callable[[SensorModel, np.random.Generator], tuple[Press, ...]]
 
 
 def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """Draw up to three objects; their greatest depth is uniform up to 6.5 mm (on a skin of 20 mm)."""
+    """Draw up to three objects; their greatest depth is uniform up to 6.5 mm
+    (on a skin of 20 mm).
+    """
     scale = model.skin_radius_mm / 20
     reach = 0.85 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
     target = float(rng.uniform(0.1, 6.5)) * scale
@@ -53,7 +55,9 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
 
 
 def wide_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, ...]:
-    """Draw a plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees; or a random object."""
+    """Draw a plate wider than the dome, perhaps with an edge, tilted by up to 25 degrees;
+    or a random object.
+    """
     scale = model.skin_radius_mm / 20
     reach = 0.8 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
     target = float(rng.uniform(0.2, 6.5)) * scale
@@ -86,7 +90,9 @@ def _plate(rng: np.random.Generator, reach: float) -> Shape:
 def random_drag(
     presses: Sequence[Press], model: SensorModel, rng: np.random.Generator
 ) -> tuple[Press, ...]:
-    """Drag objects by up to 5 mm (on a skin of 20 mm) and twist them, all in the same way or each differently."""
+    """Drag objects by up to 5 mm (on a skin of 20 mm) and twist them,
+    all in the same way or each differently.
+    """
     scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
     dragged = []
     for k, press in enumerate(presses):
@@ -108,9 +114,10 @@ def random_drag(
 class Unevenness:
     """How a skin differs from the model.
 
-    `stiffness`, one number or one for each node, multiplies the foundation's, and so does 1 + `hardening` h / (0.15 r).
-    `skirt` holds the arguments of `with_skirt`. With `two_scales`, the skin is that of `simulator.drag.two_scale_skin`
-    and uses none of these. `mechanics` determine how objects drag the skin.
+    `stiffness`, one number or one for each node, multiplies the foundation's, and so does 1 +
+    `hardening` h / (0.15 r). `skirt` holds the arguments of `with_skirt`. With `two_scales`, the
+    skin is that of `simulator.drag.two_scale_skin` and uses none of these. `mechanics` determine
+    how objects drag the skin.
     """
 
     stiffness: F32 | float = 1.0
@@ -150,7 +157,9 @@ def uneven_skin(
 
 
 def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
-    """Spread the skirt: blur part of h over some mm, because a soft depth pulls its surroundings down."""
+    """Spread the skirt: blur part of h over some mm,
+    because a soft depth pulls its surroundings down.
+    """
     if part == 0 or not skin.height_mm.any():
         return skin
     spread = cv2.GaussianBlur(
@@ -166,7 +175,9 @@ def pressed_skin(
     rng: np.random.Generator,
     draw: DrawPresses = random_presses,
 ) -> tuple[Skin, tuple[Press, ...]]:
-    """Press random objects into a skin, move them along z until they are about as deep as drawn, and drag them."""
+    """Press random objects into a skin, move them along z until they are about as deep as drawn,
+    and drag them.
+    """
     while True:
         presses = draw(model, rng)
         target = max(p.depth_mm for p in presses)
@@ -207,7 +218,9 @@ def random_skin(
 
 
 def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
-    """Add nuisances that the daemon tolerates: other light, an aged LED, a shift by a pixel, noise, glare, dust."""
+    """Add nuisances that the daemon tolerates: other light, an aged LED, a shift by a pixel, noise,
+    glare, dust.
+    """
     if rng.random() < 0.6:
         image = camera_faults.gain(image, float(rng.uniform(0.8, 1.2)))
     if rng.random() < 0.2:
@@ -239,7 +252,9 @@ def disturbed(image: U8, disc: Disc, rng: np.random.Generator) -> U8:
 def true_maps(
     skin: Skin, presses: Sequence[Press], geometry: Geometry, seen: Disc
 ) -> tuple[F32, Bool]:
-    """Compute h in disc radii (mm over r sinθ) and contact in the middle of each cell of the calibrated disc `seen`."""
+    """Compute h in disc radii (mm over r sinθ) and contact in the middle of each cell
+    of the calibrated disc `seen`.
+    """
     grid = disc_map.map_grid(seen)
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N), N)
@@ -259,7 +274,9 @@ def true_maps(
 
 
 def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
-    """Compute shear in disc radii in the middle of each square of 2x2 cells of the calibrated disc `seen`."""
+    """Compute shear in disc radii in the middle of each square of 2x2 cells
+    of the calibrated disc `seen`.
+    """
     grid, geometry = disc_map.map_grid(seen, N // 2), model.geometry
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)

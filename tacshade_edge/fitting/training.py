@@ -50,8 +50,10 @@ _ONCE = "once:"
 
 
 class TorchNetwork:
-    """A network in training. Its normalisation is part of the weights, so it stays as it was learnt on many sensors.
-    `name`: of a shipped network. Raises ValueError (the file has an operation that is not in `OPERATIONS`).
+    """A network in training.
+
+    Its normalisation is part of the weights, so it stays as it was learnt on many sensors. `name`:
+    of a shipped network. Raises ValueError (the file has an operation that is not in `OPERATIONS`).
     """
 
     def __init__(self, name: str) -> None:
@@ -78,8 +80,9 @@ class TorchNetwork:
 
     def __call__(self, white: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
         """Run frames: depth and contact (B, 2 fold², N, N) and untrusted log odds (B, 1, M, M).
-        `white`: Tensor float32 (B, fold², N, N). `known` (Tensor float32 (B, fold² + 6, N, N)): what is known of each
-        frame's sensor (`core.depth.learned.known_maps`).
+
+        `white`: Tensor float32 (B, fold², N, N). `known` (Tensor float32 (B, fold² + 6, N, N)):
+        what is known of each frame's sensor (`core.depth.learned.known_maps`).
         """
         once = [weight for name, weight in self._weights.items() if name.startswith(_ONCE)]
         weight = next(each for each in once if each.dim() == 4)
@@ -103,7 +106,9 @@ class TorchNetwork:
             at += size
 
     def flat(self) -> F32:
-        """All weights end to end, those of every frame first, in the order of `onnx_weights.values_of`."""
+        """All weights end to end, those of every frame first, in the order of
+        `onnx_weights.values_of`.
+        """
         flat: F32 = torch.cat(
             [weight.detach().flatten() for weight in self._weights.values()]
         ).numpy()
@@ -122,11 +127,12 @@ def spoil(
     part: float,
     rng: np.random.Generator,
 ) -> Tensor:
-    """Spoil part of a batch in place; cells that no longer show the skin lose their depth and contact.
+    """Spoil part of a batch in place; cells that no longer show the skin lose their depth
+    and contact.
 
-    `maps`, `references`, `height`, `contact`: white of the frames and of their sensors at rest, and the frames' true
-    height and contact. `part`: share of the frames to spoil. Returns (Tensor (B, cells, cells)): 1 where a cell does
-    not show the sensor's skin.
+    `maps`, `references`, `height`, `contact`: white of the frames and of their sensors at rest, and
+    the frames' true height and contact. `part`: share of the frames to spoil. Returns (Tensor (B,
+    cells, cells)): 1 where a cell does not show the sensor's skin.
     """
     cells, device = maps.shape[-1], maps.device
     axis = (torch.arange(cells, device=device) + 0.5 - cells / 2) * (2 * disc_map.REACH / cells)
@@ -149,7 +155,8 @@ def spoil(
 
 
 def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Draw what frame `k` shows: the picture (a frame, or from `frames` on a reference), its rows and columns.
+    """Draw what frame `k` shows: the picture (a frame, or from `frames` on a reference),
+    its rows and columns.
 
     The last array holds which of the frame's rows show it.
     """
@@ -186,7 +193,9 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
 
 
 def _moved(pictures: Tensor, rows: Tensor, cols: Tensor) -> Tensor:
-    """Take other rows and columns of pictures (P, cells, cells), whose numbers (P, cells) may be fractions."""
+    """Take other rows and columns of pictures (P, cells, cells), whose numbers (P,
+    cells) may be fractions.
+    """
     for number, dim in ((rows, 1), (cols, 2)):
         low = number.floor()
         part = (number - low).unsqueeze(3 - dim)
@@ -223,7 +232,9 @@ def depth_loss(
     shear: Tensor,
     untrusted: Tensor,
 ) -> Tensor:
-    """Sum the losses of height and its slope (weighted higher in contact), of contact, and of untrusted cells."""
+    """Sum the losses of height and its slope (weighted higher in contact), of contact,
+    and of untrusted cells.
+    """
     y, odds = outputs
     found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
@@ -263,16 +274,21 @@ TORN_PART = 0.12
 OWN_PART = 0.3
 """Share of the steps that always see the sensor as it is; the others turn or mirror it."""
 USUAL_DEPTH, USUAL_DRAG, STILL = 0.24, 0.16, 0.0075
-"""In skin radii: presses up to this depth and drags up to this length are drawn more often, and undragged ones too."""
+"""In skin radii: presses up to this depth and drags up to this length are drawn more often,
+and undragged ones too.
+"""
 LEAST_CELLS = 60
 """A contact with fewer cells (of 112x112) is not judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
-    """A twin's frames for a network. `known`: Tensor float32 (6, N, N). `reference`, `white`: Tensor uint8 (S or F,
-    cells, cells). `sensor`: Tensor int64 (F,). `height`: Tensor float16 (F, cells, cells), in disc radii. `contact`:
-    Tensor bool (F, cells, cells). `shear`: Tensor float32 (F, 2, COARSE_CELLS, COARSE_CELLS), in disc radii.
+    """A twin's frames for a network.
+
+    `known`: Tensor float32 (6, N, N). `reference`, `white`: Tensor uint8 (S or F, cells, cells).
+    `sensor`: Tensor int64 (F,). `height`: Tensor float16 (F, cells, cells), in disc radii.
+    `contact`: Tensor bool (F, cells, cells). `shear`: Tensor float32 (F, 2, COARSE_CELLS,
+    COARSE_CELLS), in disc radii.
     """
 
     fold: int
@@ -285,9 +301,11 @@ class Maps:
     shear: Tensor
 
     def batch(self, index: Tensor, turn: int) -> tuple[Tensor, ...]:
-        """White of frames and their references, then height, contact and shear in the network's units.
+        """White of frames and their references, then height,
+        contact and shear in the network's units.
 
-        `turn` selects one of the square's 8 symmetries; a turned sensor is another sensor with the same geometry.
+        `turn` selects one of the square's 8 symmetries;
+        a turned sensor is another sensor with the same geometry.
         """
 
         def turned(maps: Tensor) -> Tensor:
@@ -318,7 +336,10 @@ class Maps:
         return white.contiguous(memory_format=last), known.contiguous(memory_format=last)
 
     def chances(self, skin_radii: float) -> Tensor:
-        """Weight each frame for drawing: presses like those of users come more often. `skin_radii`: of the disc."""
+        """Weight each frame for drawing: presses like those of users come more often.
+
+        `skin_radii`: of the disc.
+        """
         depth = self.height.flatten(1).amax(1).float() * skin_radii
         touching = functional.adaptive_avg_pool2d(self.contact[:, None].float(), COARSE_CELLS)
         part = touching.sum((2, 3)).clamp(min=1e-6)
@@ -364,7 +385,9 @@ def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Map
 
 
 def halved(device: str) -> torch.autocast:
-    """Compute in bfloat16 where the device has it; a processor without it would take ten times as long."""
+    """Compute in bfloat16 where the device has it;
+    a processor without it would take ten times as long.
+    """
     kind = torch.device(device).type
     capable: dict[str, bool] = getattr(
         torch.cpu, "get_capabilities", dict
@@ -379,7 +402,10 @@ def halved(device: str) -> torch.autocast:
 def train(
     network: TorchNetwork, maps: Maps, skin_radii: float, steps: int, report: Callable[[int], None]
 ) -> None:
-    """Train a network; `report` receives the number of steps done. `skin_radii` as in `Maps.chances`."""
+    """Train a network; `report` receives the number of steps done.
+
+    `skin_radii` as in `Maps.chances`.
+    """
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, RATE, total_steps=steps, pct_start=WARM_PART

@@ -49,7 +49,9 @@ SMOOTH_CELLS = 2.0
 LIKELY = 1.1
 """Mechanics that leave at most this many times the best ones' error unexplained are likely."""
 STEP, FRICTION_STEP = 1.15, 0.1
-"""Half the distance between neighbours of `DECAYS_MM` (a ratio) and of `FRICTIONS`, which ranges include."""
+"""Half the distance between neighbours of `DECAYS_MM` (a ratio) and of `FRICTIONS`,
+which ranges include.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,9 @@ class Mechanics:
 def likely_mechanics(
     calibration: Calibration, found: Found, presses: Sequence[KnownPress]
 ) -> Mechanics:
-    """The mechanics with which simulated balls look like the pressed ones; the full ranges without enough of them."""
+    """The mechanics with which simulated balls look like the pressed ones;
+    the full ranges without enough of them.
+    """
     balls = [p for p in presses if p.indenter is None and p.x_mm is not None and p.y_mm is not None]
     if len(balls) < LEAST_PRESSES:
         return Mechanics()
@@ -122,9 +126,10 @@ TWO_SCALES_PART, UNEVEN_PART = 0.3, 0.3
 class Frames:
     """Frames of several sensors with the same skins; lengths are in disc radii.
 
-    `reference` (dict of str to uint8 (S, N, N)): white of each sensor at rest, for `WHOLE` and `HALVED`. `white`: dict
-    of str to uint8 (F, N, N). `height`: float16 (F, N, N). `contact`: bool (F, N, N). `shear`: float16 (F, N / 2, N /
-    2, 2). `sensor` (int64 (F,)): each frame's row in `reference`.
+    `reference` (dict of str to uint8 (S, N, N)): white of each sensor at rest, for `WHOLE` and
+    `HALVED`. `white`: dict of str to uint8 (F, N, N). `height`: float16 (F, N, N). `contact`: bool
+    (F, N, N). `shear`: float16 (F, N / 2, N / 2, 2). `sensor` (int64 (F,)): each frame's row in
+    `reference`.
     """
 
     reference: dict[str, U8]
@@ -136,7 +141,9 @@ class Frames:
 
 
 class View:
-    """A sensor of the cloud, which draws frames and preprocesses them as its own calibration would."""
+    """A sensor of the cloud, which draws frames and preprocesses them
+    as its own calibration would.
+    """
 
     def __init__(
         self, calibration: Calibration, found: Found, values: F64, rng: np.random.Generator
@@ -187,9 +194,22 @@ class View:
 
 def on_dome(model: SensorModel, dome: SensorModel) -> SensorModel:
     """Give a sensor the mechanics of another sensor's skin."""
-    return replace(model, **{name: getattr(dome, name) for name in (
-        "skin_radius_mm", "skin_decay_mm", "friction", "drag_decay_mm", "coulomb", "sway", "bulge", "pin_lag",
-    )})  # fmt: skip
+    return replace(
+        model,
+        **{
+            name: getattr(dome, name)
+            for name in (
+                "skin_radius_mm",
+                "skin_decay_mm",
+                "friction",
+                "drag_decay_mm",
+                "coulomb",
+                "sway",
+                "bulge",
+                "pin_lag",
+            )
+        },
+    )
 
 
 def _bytes(white: F32) -> U8:
@@ -286,8 +306,11 @@ BYTES_MAX = 1 << 28
 
 
 class Steps:
-    """The steps of one fit. Files of other fits are removed, what else lies in the folder stays. `folder`: made if it
-    is not there. `digest`: of everything that the steps depend on. Raises DeviceError (the folder cannot be written).
+    """The steps of one fit.
+
+    Files of other fits are removed, what else lies in the folder stays. `folder`: made if it is not
+    there. `digest`: of everything that the steps depend on. Raises DeviceError (the folder cannot
+    be written).
     """
 
     def __init__(self, folder: Path, digest: str) -> None:

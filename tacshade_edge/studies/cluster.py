@@ -1,4 +1,6 @@
-"""The workers of a Dask cluster, through Dask's own executor; results in the order of their tasks."""
+"""The workers of a Dask cluster, through Dask's own executor;
+results in the order of their tasks.
+"""
 
 from __future__ import annotations
 

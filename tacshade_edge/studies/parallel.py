@@ -65,7 +65,10 @@ def workers(cluster: str | None = None) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def processes(*, fresh: bool = False) -> Iterator[Workers]:
-    """Start a process for each usable core, or, if `fresh`, for each job. Raises DeviceError (a process was killed)."""
+    """Start a process for each usable core, or, if `fresh`, for each job.
+
+    Raises DeviceError (a process was killed).
+    """
     context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
     reuse = 1 if fresh else None
     pool = ProcessPoolExecutor(

@@ -1,4 +1,6 @@
-"""Write rows as tables for programs (CSV, JSON) and people (Markdown), and as plots; only plots import matplotlib."""
+"""Write rows as tables for programs (CSV, JSON) and people (Markdown), and as plots;
+only plots import matplotlib.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _WORDS = ("object", "method", "sensor", "what")
 
 
 def csv_text(kind: type[Any], rows: Sequence[Any]) -> str:
-    """CSV with a line for each row and a column for each field of the dataclass `kind`; NaN is empty."""
+    """CSV with a line for each row and a column for each field of the dataclass `kind`;
+    NaN is empty.
+    """
     names = [field.name for field in fields(kind)]
     return csv_lines(names, [[getattr(row, name) for name in names] for row in rows])
 
@@ -40,7 +44,9 @@ def _plain(value: object) -> object:
 
 
 def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table with padded columns, readable in a terminal too; numbers are right-aligned."""
+    """A Markdown table with padded columns, readable in a terminal too;
+    numbers are right-aligned.
+    """
     widths = [max(len(str(line[k])) for line in (header, *lines)) for k in range(len(header))]
     left = sum(name in _WORDS for name in header)
 
@@ -66,7 +72,9 @@ def summary(
 
 
 def grouped(rows: Iterable[Row], by: str | Callable[[Row], Any]) -> dict[Any, list[Row]]:
-    """Rows by the value of an attribute or a function, in the order in which the values first appear."""
+    """Rows by the value of an attribute or a function,
+    in the order in which the values first appear.
+    """
     groups: dict[Any, list[Row]] = {}
     value = attrgetter(by) if isinstance(by, str) else by
     for row in rows:

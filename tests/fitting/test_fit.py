@@ -1,4 +1,6 @@
-"""A short fit of a simulated sensor; what a whole one is worth is measured by tools/studies/fit.py."""
+"""A short fit of a simulated sensor; what a whole one is worth is measured
+by tools/studies/fit.py.
+"""
 
 from __future__ import annotations
 

@@ -114,11 +114,32 @@ def test_a_row_for_every_press_and_frame_without_contact(
 
 
 ROW = Row(
-    profile="fast", sensor="default", object="ball", image="", depth_mm=3.0, x_mm=0.0, y_mm=0.0, rotation_deg=0.0,
-    valid=True, contact=True, saturated=False, true_depth_mm=3.0, found_depth_mm=2.7, depth_error_pct=-10.0, me_mm=0.2,
-    sd_pct=92.0, sd_sum_pct=84.0, backward_mm=0.3, iou=0.8, points=100, true_points=120, objects=1, repaired_px=0,
-    degraded="", touched=False,
-)  # fmt: skip
+    profile="fast",
+    sensor="default",
+    object="ball",
+    image="",
+    depth_mm=3.0,
+    x_mm=0.0,
+    y_mm=0.0,
+    rotation_deg=0.0,
+    valid=True,
+    contact=True,
+    saturated=False,
+    true_depth_mm=3.0,
+    found_depth_mm=2.7,
+    depth_error_pct=-10.0,
+    me_mm=0.2,
+    sd_pct=92.0,
+    sd_sum_pct=84.0,
+    backward_mm=0.3,
+    iou=0.8,
+    points=100,
+    true_points=120,
+    objects=1,
+    repaired_px=0,
+    degraded="",
+    touched=False,
+)
 
 
 def test_a_missed_contact_counts_as_a_skin_left_alone() -> None:
@@ -138,9 +159,14 @@ def test_a_missed_contact_counts_as_a_skin_left_alone() -> None:
 
 def test_a_touch_of_unknown_depth_is_counted_on_its_own_and_measured_like_a_missed_one() -> None:
     missed = replace(
-        ROW, me_mm=math.nan, backward_mm=math.nan, sd_pct=0.0, contact=False, found_depth_mm=0.0,
+        ROW,
+        me_mm=math.nan,
+        backward_mm=math.nan,
+        sd_pct=0.0,
+        contact=False,
+        found_depth_mm=0.0,
         depth_error_pct=-100.0,
-    )  # fmt: skip
+    )
     unknown = replace(missed, touched=True, found_depth_mm=math.nan, depth_error_pct=math.nan)
     made, lost = figures([ROW, ROW, unknown]), figures([ROW, ROW, missed])
     assert (made.found, made.touched, made.missed) == (2, 1, 0)
@@ -205,7 +231,9 @@ def row(
 
 
 def some(count: int = 60) -> tuple[list[FoundRow], list[Mapping[str, float]]]:
-    """Found depth is half the true one; the robot's axes are turned by 30 degrees and one of them is mirrored."""
+    """Found depth is half the true one; the robot's axes are turned by 30 degrees and one
+    of them is mirrored.
+    """
     rng = np.random.default_rng(5)
     a = math.radians(30)
     turned = np.array(((math.cos(a), -math.sin(a)), (-math.sin(a), -math.cos(a))))

@@ -357,7 +357,10 @@ def test_what_cannot_be_scored_is_reported_and_the_others_go_on(tmp_path: Path) 
     rows, lines = scored(tmp_path)
     assert [row.image for row in rows] == ["a.png"]
     assert [line.removeprefix(f"{tmp_path}/") for line in lines] == [
-        "alone.npz: found no such file, expected the image's ground truth: points_mm, or height_mm and contact",
+        (
+            "alone.npz: found no such file, expected the image's ground truth: points_mm, or "
+            "height_mm and contact"
+        ),
         "large.png: found 320x240 px, expected 160x120 px, the size of the calibration's images",
         "text.png: found 8 bytes that are not an image, expected a whole image",
     ]

@@ -32,7 +32,9 @@ MS = 1_000_000
 
 
 def frame(t_ms: int, depth_mm: float | None, z_mm: float | None) -> SimpleNamespace:
-    """A frame of a robot at a height; no contact at depth 0, touched at an unknown depth, no pose without a height."""
+    """A frame of a robot at a height; no contact at depth 0, touched at an unknown depth,
+    no pose without a height.
+    """
     pose = None if z_mm is None else Pose(0, 0, 0, z_mm, 1, 0, 0, 0)
     return SimpleNamespace(frame=SimpleNamespace(t_ns=t_ms * MS, pose=pose, depth_mm=depth_mm))
 

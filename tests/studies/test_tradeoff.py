@@ -1,4 +1,6 @@
-"""Rows of outputs, their errors, times and memory; tables, plots, and the settings for what a user needs."""
+"""Rows of outputs, their errors, times and memory;
+tables, plots, and the settings for what a user needs.
+"""
 
 from __future__ import annotations
 

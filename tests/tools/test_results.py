@@ -1,4 +1,6 @@
-"""Pages of docs/results: what makes them stale, what is written, and that each is current or says that it is not."""
+"""Pages of docs/results: what makes them stale, what is written,
+and that each is current or says that it is not.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +93,13 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
     monkeypatch.setattr(results, "FOLDER", tmp_path)
     monkeypatch.setattr(results, "OLDER", ("new",))
     (tmp_path / "new.md").write_text(
-        "# A page\n\nOf a person.\n\nMade with `python -m old` at 0123456 of 2026-01-02 on one.\n\n| a |\n"
+        "# A page\n"
+        "\n"
+        "Of a person.\n"
+        "\n"
+        "Made with `python -m old` at 0123456 of 2026-01-02 on one.\n"
+        "\n"
+        "| a |\n"
     )
     return Page({"": "tools.release.version"})
 

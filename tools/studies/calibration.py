@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""What `calibrate` finds wrong, and what it finds wrong in good sets: calibration-checks.md has the tables.
+"""What `calibrate` finds wrong, and what it finds wrong in good sets:
+calibration-checks.md has the tables.
 
 ::
 
-    .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100] [--height 480]
+    .venv/bin/python -m tools.studies.calibration [--sensors 30] [--detect 30] [--first 8100]
+        [--height 480]
 
-Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without a warning; then the
-study introduces one error at a time and counts the right warnings (or refusals). An error in one press is introduced
-into each press in turn.
+Every sensor is drawn at random, with 5 references and 24 ball presses. A good set must pass without
+a warning; then the study introduces one error at a time and counts the right warnings (or
+refusals). An error in one press is introduced into each press in turn.
 """
 
 from __future__ import annotations
@@ -177,9 +179,10 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
 
     shuffled = rng.permutation([p.depth_mm for p in presses])
     yield (
-        "all depths shuffled", "refused|poor",
+        "all depths shuffled",
+        "refused|poor",
         warnings([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
-    )  # fmt: skip
+    )
     for unit, factor in (("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)):
         yield (
             f"depths in {unit}",
@@ -227,12 +230,14 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     yield "10 presses of like depth", "mm deep: add some", warnings(alike)
     alike = sorted(presses, key=lambda p: p.radius_mm)[8:16]
     yield "8 presses of like radius", "all presses use balls", warnings(alike)
-
     for px in (0.5, 1.0, 2.0, 6.0):
         yield (
-            f"camera {px} px away at one press", f"{name} the image moved",
-            warnings([replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]),
-        )  # fmt: skip
+            f"camera {px} px away at one press",
+            f"{name} the image moved",
+            warnings(
+                [replace(p, image=shifted(p.image, px)) if p is press else p for p in presses]
+            ),
+        )
     for px in (1.0, 2.0, 6.0):
         views = [references[0], *(shifted(image, px) for image in references[1:])]
         yield (
@@ -251,16 +256,18 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     for depth in (1.0, 2.0):
         image = given.loaded(depth, 3, 2, 5)
         yield (
-            f"one reference of 5 under {depth} mm", "pressed|load",
+            f"one reference of 5 under {depth} mm",
+            "pressed|load",
             answer(lambda image=image: given.calibrate([*references[1:], image], [])),
-        )  # fmt: skip
+        )
     for depth in (1.0, 2.0, 3.0):
         for place, x_mm in (("in the middle", 0.0), ("5 mm beside", 5.0)):
             images = [given.loaded(depth, x_mm, 0, k) for k in range(3)]
             yield (
-                f"all references under {depth} mm {place}", "seems pressed",
+                f"all references under {depth} mm {place}",
+                "seems pressed",
                 answer(lambda images=images: given.calibrate(images, [])),
-            )  # fmt: skip
+            )
 
 
 def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, str]]:
@@ -290,7 +297,9 @@ def rezeros(given: Set, result: CalibrationResult) -> Iterator[tuple[str, str, s
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One sensor's figures: false alarms, what was found, (label, depth, agreement, grade), drift of good presses."""
+    """One sensor's figures: false alarms, what was found, (label, depth, agreement, grade),
+    drift of good presses.
+    """
 
     alarms: list[str]
     found: list[tuple[str, bool]]
@@ -299,7 +308,9 @@ class Measured:
 
 
 def measure(task: tuple[int, bool, int]) -> Measured:
-    """One sensor of a seed and image height: as a good set, and, with `detect`, with everything that can be wrong."""
+    """One sensor of a seed and image height: as a good set, and, with `detect`,
+    with everything that can be wrong.
+    """
     seed, detect, height_px = task
     rng = np.random.default_rng(seed)
     given = good_set(seed, height_px)
@@ -350,7 +361,10 @@ def report(measured: Sequence[Measured]) -> str:
     good = sum(bool(m.quality) for m in measured)
     alarms = [alarm for m in measured for alarm in m.alarms]
     lines = [
-        f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} presses): {len(alarms)}"
+        (
+            f"False alarms in {len(measured)} good sets ({good} calibrated, {good * PRESSES} "
+            f"presses): {len(alarms)}"
+        )
     ]
     lines += [f"- {alarm}" for alarm in alarms] + ["", "| what was wrong | said |", "|---|---|"]
     found: dict[str, list[bool]] = {}
@@ -359,7 +373,10 @@ def report(measured: Sequence[Measured]) -> str:
     lines += [f"| {label} | {sum(hits)} of {len(hits)} |" for label, hits in found.items()]
     lines += [
         "",
-        "| presses | depth error mm: median, 90 %, worst | agreement_mae_mm likewise | good, fair, poor, refused |",
+        (
+            "| presses | depth error mm: median, 90 %, worst | agreement_mae_mm likewise | good, "
+            "fair, poor, refused |"
+        ),
         "|---|---|---|---|",
     ]
     quality = [row for m in measured for row in m.quality]
@@ -378,10 +395,13 @@ def report(measured: Sequence[Measured]) -> str:
     seen = [d for d in all_drifts if d.still_part > 0]
     lines += [
         "",
-        f"Drift of good presses: measured in {len(seen)} of {len(all_drifts)}; the most: "
-        f"shift {max(d.shift_px for d in seen):.2f} px, with turn and zoom {max(d.moved_px for d in seen):.2f} px, "
-        f"light {min(d.light for d in seen):.3f} to {max(d.light for d in seen):.3f}, "
-        f"uneven {max(d.uneven for d in seen):.3f}, contrast {min(d.contrast for d in seen):.2f}",
+        (
+            f"Drift of good presses: measured in {len(seen)} of {len(all_drifts)}; the most: shift "
+            f"{max(d.shift_px for d in seen):.2f} px, with turn and zoom "
+            f"{max(d.moved_px for d in seen):.2f} px, light {min(d.light for d in seen):.3f} to "
+            f"{max(d.light for d in seen):.3f}, uneven {max(d.uneven for d in seen):.3f}, contrast "
+            f"{min(d.contrast for d in seen):.2f}"
+        ),
     ]
     return "\n".join(lines)
 

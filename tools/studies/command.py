@@ -107,7 +107,9 @@ def check_presses(parser: argparse.ArgumentParser, presses: int) -> None:
 
 @contextlib.contextmanager
 def folder_for(parser: argparse.ArgumentParser, out: Path | None) -> Iterator[None]:
-    """Make the folder before minutes of work; report a user's mistake in one line with exit code 1."""
+    """Make the folder before minutes of work; report a user's mistake in one line
+    with exit code 1.
+    """
     try:
         study.make_folder(out)
         yield
@@ -116,9 +118,13 @@ def folder_for(parser: argparse.ArgumentParser, out: Path | None) -> Iterator[No
 
 
 def calibrations(
-    fitted: Mapping[SensorName, Path] | None, sensors: Sequence[SensorName], references: int, presses: int,
-    pool: Workers, report: Report,
-) -> list[Calibration]:  # fmt: skip
+    fitted: Mapping[SensorName, Path] | None,
+    sensors: Sequence[SensorName],
+    references: int,
+    presses: int,
+    pool: Workers,
+    report: Report,
+) -> list[Calibration]:
     """Calibrate the sensors, or load their fitted calibrations.
 
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
@@ -142,7 +148,8 @@ def over_sensors(
     presses: int = PRESSES,
     fitted: Mapping[SensorName, Path] | None = None,
 ) -> list[Row]:
-    """Calibrate the sensors, and do a job for each part (the longest first) on each of them; return the rows.
+    """Calibrate the sensors, and do a job for each part (the longest first) on each of them;
+    return the rows.
 
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
@@ -163,7 +170,9 @@ def run(
     text: Callable[[Sequence[Row]], str],
     kinds: Mapping[str, type[Any]],
 ) -> None:
-    """Work; print the table, and write it and its rows; `kinds` are those of rows by the end of their file's name."""
+    """Work; print the table, and write it and its rows;
+    `kinds` are those of rows by the end of their file's name.
+    """
     with folder_for(parser, args.out), workers(args.cluster) as pool:
         rows = work(pool, Progress())
         files = {

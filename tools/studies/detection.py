@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Are touches found, and no untouched frame taken for one, where the sensor at rest sets the limits?
+"""Are touches found, and no untouched frame taken for one, with limits of the sensor at rest?
 
 ::
 
@@ -8,9 +8,10 @@
     .venv/bin/python -m tools.studies.detection raw out/real/aerial_tactile_servoing
     .venv/bin/python -m tools.studies.detection flat out/real/TacTipFlexSim
 
-Found is a contact, or `touched`. Of real sets, half of the free frames are the rest that `calibrate --rest` learns from
-and the others are judged, then the halves change places. Of `tilted`, which states forces, frames below `FREE_N` are
-free. Of `raw`, whose tips sway, every free frame is the reference in turn, without a rest and with one.
+Found is a contact, or `touched`. Of real sets, half of the free frames are the rest that `calibrate
+--rest` learns from and the others are judged, then the halves change places. Of `tilted`, which
+states forces, frames below `FREE_N` are free. Of `raw`, whose tips sway, every free frame is the
+reference in turn, without a rest and with one.
 """
 
 from __future__ import annotations
@@ -87,7 +88,9 @@ def share(some: Sequence[Answer], said: Callable[[Answer], bool]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A picture of a real set and the force that pressed it, N (0: free; of a set without forces, above `SURE_N`)."""
+    """A picture of a real set and the force that pressed it, N (0: free;
+    of a set without forces, above `SURE_N`).
+    """
 
     path: Path
     force_n: float
@@ -138,7 +141,9 @@ def answers(calibration: Calibration, frames: Sequence[Known]) -> list[Answer]:
 
 
 def counts(some: Sequence[Answer], profile: str) -> tuple[str, ...]:
-    """False on free frames, of those as contacts; missed, and of those with a force above the least; silent."""
+    """False on free frames, of those as contacts; missed,
+    and of those with a force above the least; silent.
+    """
     own = [one for one in some if one.profile == profile]
     free = [one for one in own if float(one.kind) == 0]
     columns = [
@@ -182,7 +187,9 @@ def halves(name: str, clone: Path) -> None:
 
 
 def turns(name: str, clone: Path, step: int) -> None:
-    """Judge a set with its free frames as the reference in turn; the rest is every second one of the others."""
+    """Judge a set with its free frames as the reference in turn;
+    the rest is every second one of the others.
+    """
     frames = known_frames(name, clone)
     free = [one for one in frames if one.force_n == 0]
     pressed = [one for one in frames if one.force_n > 0]
@@ -212,7 +219,9 @@ def turns(name: str, clone: Path, step: int) -> None:
 def simulated_frames(
     sensor: PressedSensor, seed: int, count: int, untouched: int
 ) -> Iterator[tuple[str, Sequence[U8]]]:
-    """Sequences of pictures, of which the last is judged: untouched ones, faint presses, presses of any kind."""
+    """Sequences of pictures, of which the last is judged:
+    untouched ones, faint presses, presses of any kind.
+    """
     for k in range(untouched):
         yield "at rest", [sensor.frame((), 30_000 + k).image]
     changes = list(CHANGES)[1:]

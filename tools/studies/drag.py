@@ -2,7 +2,8 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.drag [--profile NAME...] [--sensors SEED,... | --final] [--objects NAME,...]
+    .venv/bin/python -m tools.studies.drag [--profile NAME...] [--sensors SEED,... | --final]
+        [--objects NAME,...]
         [--references N] [--presses N] [--out DIR]
 """
 
@@ -72,7 +73,9 @@ CONDITIONS = (
 
 @dataclass(frozen=True, slots=True)
 class DragRow(Row):
-    """One frame by one profile; drags in mm of this sensor, shears and twists are means over the contact."""
+    """One frame by one profile; drags in mm of this sensor,
+    shears and twists are means over the contact.
+    """
 
     condition: str
     drag_mm: float
@@ -90,7 +93,9 @@ class DragRow(Row):
 def presses(
     model: SensorModel, seed: int | None, object_name: str
 ) -> Iterator[tuple[Condition, float, Press]]:
-    """Every condition, direction in degrees and depth of an object; the same places and tilts for every condition."""
+    """Every condition, direction in degrees and depth of an object;
+    the same places and tilts for every condition.
+    """
     scale, shape = model.skin_radius_mm / 20, OBJECTS[object_name]()
     for condition in CONDITIONS:
         rng = np.random.default_rng(
@@ -107,10 +112,18 @@ def presses(
             )
             for depth_mm in DEPTHS_MM:
                 press = Press(
-                    shape, rho * math.cos(angle), rho * math.sin(angle), depth_mm * scale, turn, scale,
-                    tilt * math.cos(lean), tilt * math.sin(lean), drag_mm * math.cos(along), drag_mm * math.sin(along),
+                    shape,
+                    rho * math.cos(angle),
+                    rho * math.sin(angle),
+                    depth_mm * scale,
+                    turn,
+                    scale,
+                    tilt * math.cos(lean),
+                    tilt * math.sin(lean),
+                    drag_mm * math.cos(along),
+                    drag_mm * math.sin(along),
                     condition.twist_deg * (1 if k % 2 else -1),
-                )  # fmt: skip
+                )
                 yield condition, direction, press
 
 

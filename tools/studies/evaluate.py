@@ -1,6 +1,7 @@
 """``tacshade-edge evaluate`` on every family, and on the sensors kept for the figures of a release.
 
-.venv/bin/python -m tools.studies.evaluate [--sensors default,other:31 | --final] [what else `evaluate` takes]
+.venv/bin/python -m tools.studies.evaluate [--sensors default,other:31 | --final] [what else
+`evaluate` takes]
 """
 
 from __future__ import annotations

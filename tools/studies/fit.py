@@ -1,17 +1,20 @@
 #!/usr/bin/env python3
-"""What ``calibrate --fit`` is worth: simulated sensors, fitted to presses, on objects that were not pressed.
+"""What ``calibrate --fit`` is worth: simulated sensors, fitted to presses,
+on objects that were not pressed.
 
 ::
 
     .venv/bin/python -m tools.studies.fit [--cases other:31/none,other:31/balls] [--folder FOLDER]
 
-A case is a sensor and what the fit knows of it (`WAYS`): references and 40 presses, references alone (``/none``), or
-what a user does not know: the exact print and mechanics, or wrong ones. The presses are of balls of three sizes, flat
-ends of two, a square and a lying bar, or of the balls alone, 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm
-in place and 0.03 mm in depth (one standard deviation each). Networks that the fit does not keep are judged as well.
-Each case runs in its own process, one after another, as times are measured; on a cluster (``--cluster ADDRESS``), many
-fits run at the same time, and their times and memory are left out. With a folder, the study keeps each case's results
-and its fitted calibration there, and does not measure the case again until the program changes.
+A case is a sensor and what the fit knows of it (`WAYS`): references and 40 presses, references
+alone (``/none``), or what a user does not know: the exact print and mechanics, or wrong ones. The
+presses are of balls of three sizes, flat ends of two, a square and a lying bar, or of the balls
+alone, 0.6 to 4.5 mm deep; the stated presses are off by 0.05 mm in place and 0.03 mm in depth (one
+standard deviation each). Networks that the fit does not keep are judged as well. Each case runs in
+its own process, one after another, as times are measured; on a cluster (``--cluster ADDRESS``),
+many fits run at the same time, and their times and memory are left out. With a folder, the study
+keeps each case's results and its fitted calibration there, and does not measure the case again
+until the program changes.
 """
 
 from __future__ import annotations
@@ -77,9 +80,11 @@ CASES = (
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """What a fit knows. `presses`: "mixed", "balls" or "none". `pin_length`: its factor in an otherwise exact drawing,
-    without which the fit finds the print. `decay`: the factor on the skin's decay length, which is known with the
-    friction; without it, presses show them.
+    """What a fit knows.
+
+    `presses`: "mixed", "balls" or "none". `pin_length`: its factor in an otherwise exact drawing,
+    without which the fit finds the print. `decay`: the factor on the skin's decay length, which is
+    known with the friction; without it, presses show them.
     """
 
     presses: str
@@ -119,7 +124,9 @@ FIGURES = (
     "in 90 %",
     "in 90 % dragged",
 )
-"""Of each sensor: ME in mm by what was done and of the worst object, then of those not dragged, and held shares."""
+"""Of each sensor: ME in mm by what was done and of the worst object, then of those not dragged,
+and held shares.
+"""
 CYLINDER_MM = 5.0
 """Radius of the simulator's cylinder."""
 
@@ -186,7 +193,9 @@ def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationR
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A frame under a profile, as shipped or fitted; NaN if nothing was found or there was nothing to find."""
+    """A frame under a profile, as shipped or fitted;
+    NaN if nothing was found or there was nothing to find.
+    """
 
     profile: str
     what: str
@@ -245,7 +254,9 @@ def judge(
 def cost(
     sensor: PressedSensor, calibrations: Mapping[str, Calibration]
 ) -> dict[str, dict[str, float]]:
-    """File size, start-up (file, weights, first frame) and time per frame of the default profile, measured in turns."""
+    """File size, start-up (file, weights, first frame) and time per frame of the default profile,
+    measured in turns.
+    """
     press = Press(OBJECTS["ball"](), depth_mm=3.0)
     frame = Frame(0, 0, 0, sensor.frame((press,), 1).image)
     starts_s: dict[str, list[float]] = {what: [] for what in calibrations}
@@ -296,7 +307,9 @@ def sizes_off_pct(calibration: Calibration, model: SensorModel) -> dict[str, flo
 
 
 def measured(case: str) -> tuple[dict[str, Any], bytes]:
-    """Calibrate, fit and judge a case; return the file of the calibration that the user would have, too."""
+    """Calibrate, fit and judge a case; return the file of the calibration that the user would have,
+    too.
+    """
     text, _, known = case.partition("/")
     name, way = sensor_name(text), WAYS[known]
     sensor = name.make()
@@ -434,7 +447,9 @@ def of_sensor(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[l
 
 
 def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list[list[str]]:
-    """Lines of the table of changes: ME after the fit over that before; a fit that is not kept changes nothing."""
+    """Lines of the table of changes: ME after the fit over that before;
+    a fit that is not kept changes nothing.
+    """
     lines = []
     for profile in LADDER:
         ratios: dict[str, list[float]] = {judged: [] for judged in JUDGED}
@@ -505,7 +520,8 @@ def report(cases: Sequence[str], folder: Path | None, cluster: str | None) -> No
         return [f"{name} {what}" for name in names for what in ("shipped", "fitted")]
 
     print(
-        "ME after the fit over ME before, of objects that were not pressed; a fit that is not kept counts as 1.00\n"
+        "ME after the fit over ME before, of objects that were not pressed; a fit that is not "
+        "kept counts as 1.00\n"
     )
     of_each = [
         f"{judged} {what}"

@@ -6,9 +6,9 @@
     .venv/bin/python -m tools.studies.flat_skins [--sensors 31,32 | --final] [--half-angles 0 10 20]
 
 Each sensor of the TacShade family is flattened: to a pad (half angle 0) or to a dome with the same
-visible circle, as far from the lens. It is calibrated on references alone, stated as it is and as the
-dome that it was before. "Ratio" is the geometric mean of found over true height in the contact, after
-the division by `core.depth.learned.shown_ratio`.
+visible circle, as far from the lens. It is calibrated on references alone, stated as it is and as
+the dome that it was before. "Ratio" is the geometric mean of found over true height in the contact,
+after the division by `core.depth.learned.shown_ratio`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,19 @@ OBJECTS_OF = {"ball": "ball", "flat": "cylinder", "cube": "cube"}
 DEPTHS_MM, REFERENCES, FREE = (1.0, 2.0, 3.5), 5, 5
 FARTHEST = 0.45
 """Of the visible circle: the places of presses."""
-COLUMNS = ("half angle", "stated", "profile", "ME mm", "missed", "depth error", "of balls",
-           "of flats", "ratio", "spread", "phantoms")  # fmt: skip
+COLUMNS = (
+    "half angle",
+    "stated",
+    "profile",
+    "ME mm",
+    "missed",
+    "depth error",
+    "of balls",
+    "of flats",
+    "ratio",
+    "spread",
+    "phantoms",
+)
 
 
 @dataclass(frozen=True, slots=True)

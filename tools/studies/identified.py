@@ -1,8 +1,10 @@
-"""How well the identified TacShade gives Table I: on other prints and places, and what the networks give there.
+"""How well the identified TacShade gives Table I:
+on other prints and places, and what the networks give there.
 
 .venv/bin/python -m tools.studies.identified
 
-The paper's method takes each press's own α and the reading that the search found (tools/studies/identify_tacshade.py).
+The paper's method takes each press's own α and the reading that the search found
+(tools/studies/identify_tacshade.py).
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ Line = tuple[str, tuple[float, ...]]
 
 
 def by_the_paper() -> Iterator[Line]:
-    """The paper's MEs on the sensor, without eq. 11, with the usual reading, on other prints and off the middle."""
+    """The paper's MEs on the sensor, without eq. 11, with the usual reading,
+    on other prints and off the middle.
+    """
     own = TACSHADE.print_seed
     yield _by_the_paper("the identified TacShade", own)
     yield _by_the_paper("without eq. 11", own, eq_11=False)

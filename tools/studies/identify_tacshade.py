@@ -1,11 +1,13 @@
-"""Search print, light, skin, camera and readings of the text for a sensor on which the paper's method gives Table I.
+"""Search print, light, skin, camera and readings of the text for a sensor on
+which the paper's method gives Table I.
 
 ::
 
-    .venv/bin/python -m tools.studies.identify_tacshade --kept tacshade.jsonl [--random 400] [--refined 200]
+    .venv/bin/python -m tools.studies.identify_tacshade --kept tacshade.jsonl [--random 400]
+        [--refined 200]
 
-Each line of the file is a sensor tried, so a stopped search goes on where it was. The first sensors are drawn; later
-ones vary one of the best so far. Images are halved.
+Each line of the file is a sensor tried, so a stopped search goes on where it was. The first sensors
+are drawn; later ones vary one of the best so far. Images are halved.
 """
 
 from __future__ import annotations
@@ -60,12 +62,14 @@ RANGES: dict[str, tuple[float, float]] = {
     "vignetting": (0.0, 0.6),
     "blur_px": (0.2, 1.5),
 }
-"""What is searched: the presses' depth, the objects' size (1: ours, on a skin of 20 mm), and parameters
-of `SensorModel`, beyond the training family's ranges.
+"""What is searched: the presses' depth, the objects' size (1: ours, on a skin of 20 mm), and
+parameters of `SensorModel`, beyond the training family's ranges.
 """
 MODEL = tuple(name for name in RANGES if name not in ("depth_mm", "object_scale"))
 PROMISING_MM = 0.5
-"""A sensor whose ball has a greater ME by every reading is given up: the ball is Table I's best object."""
+"""A sensor whose ball has a greater ME by every reading is given up:
+the ball is Table I's best object.
+"""
 ORTHOGRAPHIC = 0.25
 """Part of the sensors with the paper's orthographic camera."""
 READINGS = tuple(
@@ -79,7 +83,9 @@ TRUE_ME_MM = tuple(TABLE_I[name][0] for name in PAPER_OBJECTS)
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A sensor: its number, the values searched (a distance of None is orthographic), its best reading, its MEs."""
+    """A sensor: its number, the values searched (a distance of None is orthographic),
+    its best reading, its MEs.
+    """
 
     number: int
     values: dict[str, float | None]
@@ -129,8 +135,8 @@ class Tried:
 
 
 def loss(me_mm: Sequence[float]) -> float:
-    """The greatest logarithm of a ratio to Table I's MEs, in either direction, and a little of their mean; infinite for
-    an object that is not found.
+    """The greatest logarithm of a ratio to Table I's MEs, in either direction, and a little of
+    their mean; infinite for an object that is not found.
     """
     if not np.isfinite(me_mm).all():
         return math.inf
@@ -199,7 +205,9 @@ def best_of(found: Sequence[Tried], count: int) -> list[Tried]:
 
 
 def search(kept: Path, random: int, refined: int) -> Iterator[Tried]:
-    """Yield every sensor tried, old and new; each new one is a line of the file before the next begins."""
+    """Yield every sensor tried, old and new; each new one is a line of the file
+    before the next begins.
+    """
     done = [Tried.parse(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     yield from done
     with kept.open("a", encoding="utf-8") as file:
@@ -227,8 +235,11 @@ def text(found: Sequence[Tried]) -> str:
     )
     return "\n\n".join(
         (
-            f"{len(found)} sensors by {len(READINGS)} readings; {whole} with an ME of the ball below "
-            f"{PROMISING_MM} mm; {agreeing} with Table I's order and MEs within {100 * (NEAR - 1):.0f} %",
+            (
+                f"{len(found)} sensors by {len(READINGS)} readings; {whole} with an ME of the ball "
+                f"below {PROMISING_MM} mm; {agreeing} with Table I's order and MEs within "
+                f"{100 * (NEAR - 1):.0f} %"
+            ),
             me_table(lines),
             f"The best: {best.reading}; {values}",
         )
@@ -239,7 +250,9 @@ SHOWN = 3
 
 
 def me_table(lines: Sequence[tuple[str, Sequence[float]]]) -> str:
-    """Named MEs of the five objects, each line's greatest ratio to Table I's in either direction, whether it agrees."""
+    """Named MEs of the five objects, each line's greatest ratio to Table I's in either direction,
+    whether it agrees.
+    """
     rows = []
     for what, me_mm in lines:
         ratio = np.exp(np.abs(np.log(np.array(me_mm) / np.array(TRUE_ME_MM))).max())

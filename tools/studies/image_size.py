@@ -3,10 +3,12 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.image_size [--sensors default,5 | --final] [--profile balanced]
+    .venv/bin/python -m tools.studies.image_size [--sensors default,5 | --final]
+        [--profile balanced]
 
-The pictures of a 640x480 camera are averaged to smaller ones, as a camera that bins its pixels does, so all sizes see
-the same presses. A row is a size; its pitches are those that `calibrate` measured in the middle of the pictures.
+The pictures of a 640x480 camera are averaged to smaller ones, as a camera that bins its pixels
+does, so all sizes see the same presses. A row is a size; its pitches are those that `calibrate`
+measured in the middle of the pictures.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ SCENES_STEP = 4
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """How a profile fares with the pictures of a sensor at a size; NaN where `calibrate` refuses them."""
+    """How a profile fares with the pictures of a sensor at a size;
+    NaN where `calibrate` refuses them.
+    """
 
     width_px: int
     profile: str
@@ -128,7 +132,9 @@ def _rows(
 def _judged(
     profile: str, name: SensorName, sensor: PressedSensor, made: CalibrationResult, width_px: int
 ) -> tuple[list[float], int]:
-    """The error of a profile in mm for each press of the paper's objects, and how many presses it missed."""
+    """The error of a profile in mm for each press of the paper's objects,
+    and how many presses it missed.
+    """
     one = reconstructor(made.calibration, profile)
     errors_mm, missed = [], 0
     for object_name in PAPER_OBJECTS:
@@ -142,7 +148,9 @@ def _judged(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """One line for each size and profile, over the sensors that `calibrate` takes at every size down to it."""
+    """One line for each size and profile, over the sensors
+    that `calibrate` takes at every size down to it.
+    """
     lines = []
     for width_px in WIDTHS_PX:
         for profile in dict.fromkeys(row.profile for row in rows):
@@ -157,7 +165,10 @@ def table(rows: Sequence[Row]) -> str:
                     f"{width_px}x{width_px * 3 // 4}",
                     profile,
                     f"{len(taken)} of {len(some)}",
-                    f"{min(row.pitch_px for row in taken):.1f} to {max(row.pitch_px for row in taken):.1f}",
+                    (
+                        f"{min(row.pitch_px for row in taken):.1f} to "
+                        f"{max(row.pitch_px for row in taken):.1f}"
+                    ),
                     f"{np.mean([row.me_mm for row in taken]):.3f}",
                     f"{np.nanmean(ratios):.2f}",
                     f"{np.nanmax(ratios):.2f}",

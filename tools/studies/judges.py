@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""What the judges of a frame refuse, and what they take from a network, on simulated sensors of every family.
+"""What the judges of a frame refuse, and take from a network, on simulated sensors of all kinds.
 
 ::
 
     .venv/bin/python -m tools.studies.judges --sensors tacshade:4,other:5,tactip:6 --frames 20
 
-Each kind has as many frames of each sensor: presses, nothing in contact under every change of normal use, and images
-that show no skin as it is. A network overruled is one that found a contact of `LEAST_MM` or more in a frame for which
-the gate or a judge answers that there is none. The second table has each figure of a judge: its limit, how far frames
-of normal use go, and the nearest frame that it refuses.
+Each kind has as many frames of each sensor: presses, nothing in contact under every change of
+normal use, and images that show no skin as it is. A network overruled is one that found a contact
+of `LEAST_MM` or more in a frame for which the gate or a judge answers that there is none. The
+second table has each figure of a judge: its limit, how far frames of normal use go, and the nearest
+frame that it refuses.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The result of a frame, and the greatest h that the network found by itself (0: no contact)."""
+    """The result of a frame, and the greatest h that the network found by itself (0:
+    no contact).
+    """
 
     code: str
     degraded: bool
@@ -165,7 +168,9 @@ USUAL = (PRESSED, *CHANGES, RELEASED)
 
 
 def frames(sensor: PressedSensor, seed: int, count: int) -> Iterator[tuple[str, U8]]:
-    """`count` frames of each kind, each with the name of its kind; five times as many presses and releases."""
+    """`count` frames of each kind, each with the name of its kind;
+    five times as many presses and releases.
+    """
     for k in range(5 * count):
         rng = np.random.default_rng((seed, 51, k))
         yield PRESSED, sensor.frame((press_of(sensor, rng),), 6000 + k).image
@@ -251,8 +256,8 @@ class Margins:
                 ours.setdefault(key, []).extend(some)
 
     def rows(self, near_only: bool = False) -> list[tuple[str, ...]]:
-        """A row for each figure: its limits, and the extremes of both kinds of frames on the side of the limit; with
-        `near_only` only for those that come within half of their limit.
+        """A row for each figure: its limits, and the extremes of both kinds of frames on the side
+        of the limit; with `near_only` only for those that come within half of their limit.
         """
         made: list[tuple[str, ...]] = []
         for key in dict.fromkeys((*self._usual, *self._refused)):

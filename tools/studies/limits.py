@@ -2,7 +2,8 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.limits [--profile NAME...] [--sensors SEED,... | --final] [--out DIR]
+    .venv/bin/python -m tools.studies.limits [--profile NAME...] [--sensors SEED,... | --final]
+        [--out DIR]
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The parameters of a study. Lengths are in mm for every skin radius; depths are the skin's greatest h."""
+    """The parameters of a study.
+
+    Lengths are in mm for every skin radius; depths are the skin's greatest h.
+    """
 
     sensors: tuple[SensorName, ...]
     profiles: tuple[str, ...]
@@ -144,7 +148,9 @@ class NullRow(Found):
 
 @dataclass(frozen=True, slots=True)
 class DepthRow(Found):
-    """A press to a greatest h of `depth_mm`; `true_mm` is the greatest h of the simulated skin's grid."""
+    """A press to a greatest h of `depth_mm`; `true_mm` is the greatest h
+    of the simulated skin's grid.
+    """
 
     sensor: str
     object: str
@@ -165,9 +171,11 @@ class DeepRow(DepthRow):
 
 @dataclass(frozen=True, slots=True)
 class FineRow(Found):
-    """Two bars with a gap (`size_mm`), or a ridge with a width (`size_mm`), on a sensor with a marker pitch.
+    """Two bars with a gap (`size_mm`), or a ridge with a width (`size_mm`),
+    on a sensor with a marker pitch.
 
-    For bars, `true_height_mm` and `found_height_mm` are the dip of h between them; for a ridge, its greatest h.
+    For bars, `true_height_mm` and `found_height_mm` are the dip of h between them;
+    for a ridge, its greatest h.
     """
 
     pitch_mm: float
@@ -182,7 +190,10 @@ class FineRow(Found):
 
 @dataclass(frozen=True, slots=True)
 class DisturbedRow(Found):
-    """A contact in a disturbed image. `clean_mm` is the depth from the same frame without the disturbance."""
+    """A contact in a disturbed image.
+
+    `clean_mm` is the depth from the same frame without the disturbance.
+    """
 
     sensor: str
     disturbance: str
@@ -194,12 +205,16 @@ class DisturbedRow(Found):
 
     @property
     def off(self) -> float:
-        """Relative difference between the depth and the undisturbed frame's; a lost contact counts as 1."""
+        """Relative difference between the depth and the undisturbed frame's;
+        a lost contact counts as 1.
+        """
         return abs(self.found_mm / self.clean_mm - 1)
 
     @property
     def silently_wrong(self) -> bool:
-        """Whether the contact is lost or has a wrong depth, and nothing warns a program to trust it less."""
+        """Whether the contact is lost or has a wrong depth,
+        and nothing warns a program to trust it less.
+        """
         return self.off > WRONG and self.valid and not self.doubt and not self.saturated
 
 
@@ -213,7 +228,9 @@ KINDS = {
 
 UNDISTURBED = "nothing"
 RELEASED = "after a release"
-"""Nothing touches, but the skin keeps 2 to 10 % of the dent (up to 0.4 mm) of a ball pressed 2 to 4 mm deep."""
+"""Nothing touches, but the skin keeps 2 to 10 % of the dent
+(up to 0.4 mm) of a ball pressed 2 to 4 mm deep.
+"""
 LEFT = (0.02, 0.1)
 
 
@@ -250,7 +267,10 @@ CHANGES: dict[str, Change] = {
     ),
     "noise of 2 to 10 levels": _noisy(2, 10),
 }
-"""Changes of an image, by name. Glare has a standard deviation of 2 to 20 px and 60 to 255 levels."""
+"""Changes of an image, by name.
+
+Glare has a standard deviation of 2 to 20 px and 60 to 255 levels.
+"""
 
 
 def _far_light(image: U8, model: SensorModel, rng: Rng) -> U8:
@@ -314,7 +334,9 @@ A tear begins at one of five rows, and pixels are those of a 640x480 image.
 
 
 def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int) -> U8:
-    """Take an image without contact, disturbed by `CHANGES`, `RELEASED` or `BEYOND`, drawn from the seed."""
+    """Take an image without contact, disturbed by `CHANGES`, `RELEASED` or `BEYOND`,
+    drawn from the seed.
+    """
     rng = np.random.default_rng((seed, 31))
     if what == RELEASED:
         model = sensor.model
@@ -327,9 +349,11 @@ def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Across:
-    """A line in the image through a press's middle, along the press's own x axis, with a point for each pixel (N,).
+    """A line in the image through a press's middle, along the press's own x axis,
+    with a point for each pixel (N,).
 
-    `x_mm` is the coordinate along this axis of the skin point that a pixel shows, `true_mm` its true h.
+    `x_mm` is the coordinate along this axis of the skin point that a pixel shows,
+    `true_mm` its true h.
     """
 
     x_mm: F64
@@ -386,7 +410,9 @@ def top_mm(x_mm: F64, h_mm: F64, width_mm: float) -> float:
 def places(
     model: SensorModel, count: int, reach_radii: float, seed: int | None
 ) -> list[tuple[float, float]]:
-    """Spread places (x, y) in mm on a sunflower spiral out to `reach_radii` skin radii, turned by the sensor's seed."""
+    """Spread places (x, y) in mm on a sunflower spiral out to `reach_radii` skin radii,
+    turned by the sensor's seed.
+    """
     turn = np.random.default_rng((0 if seed is None else seed + 1, 32)).uniform(0, 2 * math.pi)
     spread = []
     for k in range(count):
@@ -401,7 +427,9 @@ def places(
 def ball_press(
     skin_radius_mm: float, radius_mm: float, x_mm: float, y_mm: float, height_mm: float
 ) -> Press:
-    """Press a ball until the skin's greatest h is `height_mm`; off the axis, its lowest point is not the deepest."""
+    """Press a ball until the skin's greatest h is `height_mm`;
+    off the axis, its lowest point is not the deepest.
+    """
     rho2 = x_mm**2 + y_mm**2
     lowest = math.sqrt((skin_radius_mm + radius_mm - height_mm) ** 2 - rho2) - radius_mm
     return Press(ball(radius_mm), x_mm, y_mm, math.sqrt(skin_radius_mm**2 - rho2) - lowest)
@@ -563,7 +591,9 @@ DETECTED = 0.95
 RESOLVED = 0.75
 """Share of places at which a gap or ridge must be resolved."""
 DIP_PART, LEAST_DIP_MM, RIDGE_OFF = 0.5, 0.05, 0.2
-"""A gap is resolved if h dips by at least half of the true dip, and a ridge if its height is within a fifth."""
+"""A gap is resolved if h dips by at least half of the true dip,
+and a ridge if its height is within a fifth.
+"""
 WRONG = 0.25
 """Relative error above which a depth counts as wrong."""
 FINE: dict[str, tuple[str, Callable[[FineRow], bool]]] = {
@@ -602,7 +632,9 @@ def depth_errors(some: Sequence[DepthRow]) -> dict[float, tuple[float, float, fl
 
 
 def finest(rows: Sequence[FineRow], pitch_mm: float, question: str) -> float:
-    """Find the size at and above which a shape is resolved at `RESOLVED` of the places; infinity if there is none."""
+    """Find the size at and above which a shape is resolved at `RESOLVED` of the places;
+    infinity if there is none.
+    """
     shape, came_out = FINE[question]
     least = math.inf
     sizes = grouped((r for r in rows if r.pitch_mm == pitch_mm and r.shape == shape), "size_mm")

@@ -5,9 +5,9 @@
 
     .venv/bin/python -m tools.studies.loads [--sensors 30] [--first 8300] [--depth 2]
 
-Every sensor gives one reference alone: untouched, under a ball of 6 mm in the middle, under the ball
-6 mm from it, and under a plate, on the nominal skin. `real_frames SET FOLDER --references N` does the
-same with real frames.
+Every sensor gives one reference alone: untouched, under a ball of 6 mm in the middle, under the
+ball 6 mm from it, and under a plate, on the nominal skin. `real_frames SET FOLDER --references N`
+does the same with real frames.
 """
 
 from __future__ import annotations

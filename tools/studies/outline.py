@@ -1,8 +1,10 @@
-"""How well the network's outline and the paper's two means of the heights find a contact, on the same maps.
+"""How well the network's outline and the paper's two means of the heights find a contact,
+on the same maps.
 
 ::
 
-    .venv/bin/python -m tools.studies.outline [--profile NAME...] [--sensors SEED,... | --final] [--objects NAME,...]
+    .venv/bin/python -m tools.studies.outline [--profile NAME...] [--sensors SEED,... | --final]
+        [--objects NAME,...]
         [--references N] [--presses N] [--out DIR]
 """
 

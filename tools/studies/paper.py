@@ -2,12 +2,13 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.paper [--sensors default,5,other:31 | --final] [--states STATES] [--out DIR]
+    .venv/bin/python -m tools.studies.paper [--sensors default,5,other:31 | --final]
+        [--states STATES] [--out DIR]
 
-Experiment 1: Table I's five objects, by the paper's method with each press's own α (section IV-C), by the same without
-eq. 11 and with an eq. 9 that saturates, as a user gets it, and by the networks. ``--states`` adds the third family
-(tools/studies/third_family/solve.py with ``--table-i``). ``--out`` also draws paper.png. Experiment 2 is
-tools.studies.paper_pad.
+Experiment 1: Table I's five objects, by the paper's method with each press's own α (section IV-C),
+by the same without eq. 11 and with an eq. 9 that saturates, as a user gets it, and by the networks.
+``--states`` adds the third family (tools/studies/third_family/solve.py with ``--table-i``).
+``--out`` also draws paper.png. Experiment 2 is tools.studies.paper_pad.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ BY_OWN_RATIO = {
     "own α, no eq. 11": (False, False),
     "own α, eq. 9 from 0": (True, True),
 }
-"""Methods with each press's own α: whether eq. 11 makes the heights, and whether eq. 9 saturates at 0."""
+"""Methods with each press's own α: whether eq. 11 makes the heights, and whether eq.
+9 saturates at 0.
+"""
 METHODS = (*BY_OWN_RATIO, SHIPPED, *command.NETWORKS)
 
 
@@ -82,7 +85,9 @@ def judged(calibration: Calibration, cases: Sequence[Case]) -> list[Judged]:
 
 
 def _row(method: str, case: Case, me_mm: float, sd_pct: float, sd_sum_pct: float) -> Judged:
-    """A contact that is not found counts as untouched skin: its ME is the true depth, its SD is 0."""
+    """A contact that is not found counts as untouched skin:
+    its ME is the true depth, its SD is 0.
+    """
     label, depth_mm = case.label, case.truth.depth_max_mm
     if math.isnan(me_mm):
         me_mm = depth_mm
@@ -90,7 +95,9 @@ def _row(method: str, case: Case, me_mm: float, sd_pct: float, sd_sum_pct: float
 
 
 def pressed(task: tuple[SensorName, Calibration, str]) -> list[Judged]:
-    """Press one object into a sensor: in the middle, next to it or well off it, in turn from seed to seed."""
+    """Press one object into a sensor: in the middle, next to it or well off it,
+    in turn from seed to seed.
+    """
     name, calibration, object_name = task
     sensor = name.make()
     where = scenes(sensor.model, name.seed, object_name, (DEPTH_MM,))
@@ -118,7 +125,10 @@ def text(found: Sequence[Judged]) -> str:
         parts += [
             f"{head}: ME mm (eq. 13)",
             _table(some, lambda values: f"{np.mean([each.me_mm for each in values]):.3f}", ME),
-            f"{head}: SD % (eq. 14; d_CD as half the sum of both distances, in brackets as the sum)",
+            (
+                f"{head}: SD % (eq. 14; d_CD as half the sum of both distances, "
+                "in brackets as the sum)"
+            ),
             _table(some, _sd_text, SD),
         ]
     return "\n\n".join(parts)

@@ -4,8 +4,8 @@
 
     .venv/bin/python -m tools.studies.paper_pad [--step 5] [--profile paper accurate]
 
-The default sensor, calibrated on 8 references and 40 ball presses, presses the whole pad; the map is compared with the
-known surface. The paper judges its map by eye alone.
+The default sensor, calibrated on 8 references and 40 ball presses, presses the whole pad; the map
+is compared with the known surface. The paper judges its map by eye alone.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ class Fused:
 
 
 def rows(folder: Path, profiles: Sequence[str], step_mm: float) -> Iterator[Fused]:
-    """Press the pad once, and fuse the presses of every profile by exact and noisy poses in both ways."""
+    """Press the pad once, and fuse the presses of every profile by exact and noisy poses
+    in both ways.
+    """
     model = SensorModel()
     calibration = calibrated_sensor(SimulatedSensor(model), 0, REFERENCES, PRESSES).calibration
     with contextlib.redirect_stdout(io.StringIO()):  # the commands for a user

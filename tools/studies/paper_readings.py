@@ -32,9 +32,9 @@ REGISTERED_POINTS, REGISTRATIONS = 400, 10
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One way to read the paper: eq. 1's window, the weight of the total variation, whether eq. 9 saturates at 0 as
-    unsigned integers do, whether eq. 13 compares clouds after the found one is moved onto the true one, and the stride
-    of eq. 1's window.
+    """One way to read the paper: eq. 1's window, the weight of the total variation, whether eq. 9
+    saturates at 0 as unsigned integers do, whether eq. 13 compares clouds after the found one is
+    moved onto the true one, and the stride of eq. 1's window.
     """
 
     window_pitches: int = 2
@@ -65,7 +65,9 @@ class PressedObject:
 
 @frozen
 class PaperMap:
-    """What the paper's Fig. 6 shows of a press: the maps of eqs. 9 and 10, the heights in mm, the object's cells."""
+    """What the paper's Fig. 6 shows of a press: the maps of eqs.
+    9 and 10, the heights in mm, the object's cells.
+    """
 
     maps: GreyMaps
     height_mm: F32
@@ -88,7 +90,10 @@ def pressed_object(
 
 
 def calibrated(sensor: SimulatedSensor) -> Calibration:
-    """Calibrate on references alone: with a press's own α, presses change nothing. Raises ConfigError."""
+    """Calibrate on references alone: with a press's own α, presses change nothing.
+
+    Raises ConfigError.
+    """
     model: SensorModel = sensor.model
     stated = Sensor(
         model.skin_radius_mm,
@@ -158,7 +163,9 @@ def scores(
 
 
 def registration_mm(points_mm: F32, true_mm: F32) -> F32:
-    """The shift (3,) in mm that moves a cloud onto the true one: iterated closest points, without a rotation."""
+    """The shift (3,) in mm that moves a cloud onto the true one:
+    iterated closest points, without a rotation.
+    """
     thinned = points_mm[:: max(1, len(points_mm) // REGISTERED_POINTS)]
     tree, shift_mm = cKDTree(true_mm), np.zeros(3, np.float32)
     for _ in range(REGISTRATIONS):

@@ -5,9 +5,10 @@
 
     .venv/bin/python -m tools.studies.paper_scale [--sensors 4,11,other:5,two-scales:4]
 
-Each sensor is calibrated with 24 ball presses; the paper's five objects are pressed elsewhere to four depths. The error
-is the mean of |found - true| of the greatest depth, a missed contact counting as 0 mm. *15 px*: the paper's number;
-*mean depth*: every press as deep as the calibration's presses on average; *change*: in proportion to the RMS of g_d.
+Each sensor is calibrated with 24 ball presses; the paper's five objects are pressed elsewhere to
+four depths. The error is the mean of |found - true| of the greatest depth, a missed contact
+counting as 0 mm. *15 px*: the paper's number; *mean depth*: every press as deep as the
+calibration's presses on average; *change*: in proportion to the RMS of g_d.
 """
 
 from __future__ import annotations

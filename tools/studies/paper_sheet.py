@@ -1,4 +1,6 @@
-"""Eight presses on one sheet: the picture, g_d, g_h, the paper's map, the network's map, the truth."""
+"""Eight presses on one sheet: the picture, g_d, g_h, the paper's map, the network's map,
+the truth.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ SHEET = (
     *((IDENTIFIED, name) for name in PAPER_OBJECTS),
     *((SENSOR_5, name) for name in ("cube", "small_crescent", "ball")),
 )
-"""Table I's objects on the identified TacShade, and three of them on a sensor where the method fails on two."""
+"""Table I's objects on the identified TacShade, and three
+of them on a sensor where the method fails on two.
+"""
 DEPTH_MM = 3.0
 COLUMNS = ("picture", "g_d, eq. 9", "g_h, eq. 10", "paper, own α", "accurate", "truth")
 SIDE_PX = 140
@@ -38,7 +42,9 @@ COLOURS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Map:
-    """Values to draw, the span of their colours, and the cells whose outline is drawn; NaN stays white."""
+    """Values to draw, the span of their colours, and the cells whose outline is drawn;
+    NaN stays white.
+    """
 
     values: F32
     span: tuple[float, float]

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""Frames of real sensors: what `calibrate` accepts, what is refused, felt in the air, lost, and how it follows labels.
+"""Frames of real sensors: what is accepted, refused, felt in the air, lost, and follows labels.
 
 ::
 
-    git clone https://github.com/BioMorphic-Intelligence-Lab/aerial_tactile_servoing out/real/aerial_tactile_servoing
+    git clone https://github.com/BioMorphic-Intelligence-Lab/aerial_tactile_servoing
+        out/real/aerial_tactile_servoing
     git clone https://github.com/marselap/tactip-cnn-bayes out/real/tactip-cnn-bayes
     git clone https://github.com/dexterousrobot/tactile_data_shear out/real/tactile_data_shear
     git clone https://github.com/cavallimarko/TacTipFlexSim out/real/TacTipFlexSim
@@ -11,11 +12,12 @@
     git clone https://github.com/Neo-manchester/Tac-VGNN out/real/Tac-VGNN
     .venv/bin/python -m tools.studies.real_frames raw out/real/aerial_tactile_servoing
 
-The sets have no licence, or the GPL, but for the last (Apache-2.0): they stay outside the tree. `raw` are whole
-pictures of a camera with an LED ring, `binary` near-binary ones with few pins, `plates` thresholded ones of plates that
-a robot tilted and sheared (of that set `cr_tactip` alone), `flat` flat presses of stated depth, `tilted` raw pictures
-of tilted and sheared plates whose rim the frame cuts, `pins` thresholded ones of 127 pins that tap a tilted plane. A
-network is overruled where it finds `LEAST_MM` or more and the answer is another.
+The sets have no licence, or the GPL, but for the last (Apache-2.0): they stay outside the tree.
+`raw` are whole pictures of a camera with an LED ring, `binary` near-binary ones with few pins,
+`plates` thresholded ones of plates that a robot tilted and sheared (of that set `cr_tactip` alone),
+`flat` flat presses of stated depth, `tilted` raw pictures of tilted and sheared plates whose rim
+the frame cuts, `pins` thresholded ones of 127 pins that tap a tilted plane. A network is overruled
+where it finds `LEAST_MM` or more and the answer is another.
 """
 
 from __future__ import annotations
@@ -46,11 +48,16 @@ from tools.studies.real_sets import SENSOR, SENSORS, SETS, RealFrame, thinned
 PROFILES = ("fast", "balanced", "accurate")
 REFERENCES_EACH = 2
 """Number of free frames at a folder's start that are tried as references."""
-PUBLISHED = "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, 4002 labels)"
+PUBLISHED = (
+    "0.106 mm of depth, 0.32° of tilt, 0.78 mm of shear, 1.48° of twist (mean absolute, "
+    "4002 labels)"
+)
 
 
 def reference_candidates(frames: Sequence[RealFrame]) -> list[Path]:
-    """The first free frames of each folder; where none is free the least pressed one, or the one most like the mean."""
+    """The first free frames of each folder; where none is free the least pressed one,
+    or the one most like the mean.
+    """
     if any(frame.free for frame in frames):
         folders: dict[Path, list[Path]] = {}
         for frame in frames:
@@ -73,7 +80,10 @@ def calibrated_from(sensor: Sensor, path: Path) -> tuple[Calibration | None, str
 
 
 def forced(sensor: Sensor, paths: Sequence[Path]) -> Calibration:
-    """From the first that works when it may be loaded. Raises ConfigError with the last one's reason."""
+    """From the first that works when it may be loaded.
+
+    Raises ConfigError with the last one's reason.
+    """
     for path in paths[:-1]:
         try:
             return calibrate(sensor, [read_image(path)], allow_loaded_reference=True).calibration
@@ -90,8 +100,8 @@ def counted(reasons: Iterable[str]) -> str:
 def summary(
     frames: Sequence[RealFrame], rows: Sequence[FoundRow], all_seen: Sequence[Seen]
 ) -> tuple[str, ...]:
-    """One profile's counts: refused, why, false contacts on free frames, presses refused or empty, those of more than
-    `LEAST_MM`, and networks overruled.
+    """One profile's counts: refused, why, false contacts on free frames, presses refused or empty,
+    those of more than `LEAST_MM`, and networks overruled.
     """
     refused = [row.refused for row in rows if row.refused]
     free = [row for frame, row in zip(frames, rows, strict=True) if frame.free]

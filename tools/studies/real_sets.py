@@ -26,15 +26,17 @@ PINS = "data/127/model_surface2d"
 PIN_FRAMES = 100
 """Frames of `pins` that figures use, the first by number."""
 TAP_MM = 5.0
-"""The robot's tap at the stated position 0 of `pins`; from there on, a greater position is deeper."""
+"""The robot's tap at the stated position 0 of `pins`;
+from there on, a greater position is deeper.
+"""
 NEARLY_FREE_MM = 0.117
 """Stated depth below which the plates of `tilted` hardly touch: 37 frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class RealFrame:
-    """A picture and what is known of it: whether nothing touched (None if unknown), and some columns of LABELS.csv, or
-    `tilt_deg`, the size of a tilt about an unknown axis.
+    """A picture and what is known of it: whether nothing touched (None if unknown), and some
+    columns of LABELS.csv, or `tilt_deg`, the size of a tilt about an unknown axis.
     """
 
     path: Path
@@ -43,7 +45,9 @@ class RealFrame:
 
 
 def raw_frames(clone: Path) -> list[RealFrame]:
-    """Every whole picture, without the folder of another light; the labels are that project's own network's."""
+    """Every whole picture, without the folder of another light;
+    the labels are that project's own network's.
+    """
     frames = []
     for table in sorted((clone / "data" / "tactip_images").glob("*/image_list.csv")):
         if table.parent.name == OTHER_LIGHT:
@@ -82,7 +86,9 @@ def binary_frames(clone: Path) -> list[RealFrame]:
 
 
 def flat_frames(clone: Path) -> list[RealFrame]:
-    """Every picture of flat presses; the last number of a name is the stated depth, 0 without one."""
+    """Every picture of flat presses; the last number of a name is the stated depth,
+    0 without one.
+    """
     folder = "CNNDepthPrediction/DatasetReal/FlatR100V0"
     frames = []
     for path in sorted((clone / folder).glob("*.png")):

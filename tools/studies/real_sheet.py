@@ -6,8 +6,8 @@
     git clone https://github.com/Neo-manchester/Tac-VGNN out/real/Tac-VGNN
     .venv/bin/python -m tools.studies.real_sheet out/real/Tac-VGNN docs/images/real-touches.webp
 
-The pictures are of `real_frames pins` (Apache-2.0, Wen Fan, Max Yang, Yifan Xing, Nathan Lepora and Dandan Zhang). The
-calibration is made from the untouched picture alone.
+The pictures are of `real_frames pins` (Apache-2.0, Wen Fan, Max Yang, Yifan Xing, Nathan Lepora and
+Dandan Zhang). The calibration is made from the untouched picture alone.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NUMBERS = (2446, 2456, 865, 4963)
-"""The frames that are drawn: a light and a deeper tap on a level plane, and two on planes tilted to either side."""
+"""The frames that are drawn: a light and a deeper tap on a level plane,
+and two on planes tilted to either side.
+"""
 PROFILE = "balanced"
 CARD, INK, FAINT = "#11161d", "#f0f3f6", "#9aa4af"
 """Colours of the cards, which suit a white page and a black one, and of what is written on them."""
@@ -71,7 +73,9 @@ def touches(clone: Path) -> tuple[list[Touch], Disc]:
 
 
 def draw(drawn: Sequence[Touch], disc: Disc, file: Path) -> None:
-    """Draw a card for each touch, and the scale of all maps, into a WebP file without a background."""
+    """Draw a card for each touch, and the scale of all maps,
+    into a WebP file without a background.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
@@ -123,7 +127,9 @@ def card(figure: Figure, left_in: float, width_in: float) -> None:
 
 
 def column(figure: Figure, touch: Touch, disc: Disc, where: tuple[float, float, float]) -> None:
-    """Draw a touch on its card: the picture, its map below, what was found; `where` is left, width, top of scale."""
+    """Draw a touch on its card: the picture, its map below, what was found;
+    `where` is left, width, top of scale.
+    """
     from matplotlib.patches import Circle
 
     left_in, width_in, top_mm = where

@@ -2,7 +2,8 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.sigma [--profile NAME...] [--sensors SEED,... | --final] [--objects NAME,...]
+    .venv/bin/python -m tools.studies.sigma [--profile NAME...] [--sensors SEED,... | --final]
+        [--objects NAME,...]
         [--references N] [--presses N] [--out DIR]
 """
 
@@ -33,7 +34,8 @@ COVERED = (85, 95)
 
 @dataclass(frozen=True, slots=True)
 class SigmaRow:
-    """One frame in contact by one profile: as pressed on a skin of 20 mm; means over the cells found in contact.
+    """One frame in contact by one profile: as pressed on a skin of 20 mm;
+    means over the cells found in contact.
 
     `covered` counts the cells whose 90 % interval holds the true height.
     """
@@ -121,12 +123,15 @@ def covered_pct(found: Sequence[Cells]) -> float:
 
 
 def _part_of_tenth(found: Sequence[Cells], of: int) -> str:
-    """Share of all absolute error in the tenth of the cells with the greatest error (0) or σ (1)."""
+    """Share of all absolute error in the tenth of the cells with the greatest error (0) or σ
+    (1).
+    """
     cells = joined(found)
     count = max(1, len(cells[0]) // 10)
     greatest = np.argpartition(-cells[of], count - 1)[:count]
     error_mm = cells[0]
-    return f"{100 * error_mm[greatest].sum(dtype=np.float64) / max(error_mm.sum(dtype=np.float64), 1e-12):.1f}"
+    whole_mm = max(error_mm.sum(dtype=np.float64), 1e-12)
+    return f"{100 * error_mm[greatest].sum(dtype=np.float64) / whole_mm:.1f}"
 
 
 FIGURES: dict[str, Callable[[Sequence[Cells]], str]] = {
@@ -141,7 +146,9 @@ FIGURES: dict[str, Callable[[Sequence[Cells]], str]] = {
 
 
 def text(found: Sequence[Cells]) -> str:
-    """A table for each family of sensors and one for both, lines for each profile, depth and drag."""
+    """A table for each family of sensors and one for both, lines for each profile,
+    depth and drag.
+    """
     families = {
         f"Family {name}": of
         for name, of in grouped(found, lambda row: family_of(row.sensor)).items()

@@ -2,7 +2,8 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.slip [--profile NAME...] [--sensors SEED,... | --final] [--held SECONDS]
+    .venv/bin/python -m tools.studies.slip [--profile NAME...] [--sensors SEED,... | --final]
+        [--held SECONDS]
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ SOON_S, LATER_FPS = 0.2, 10
 """Time after a release in which the study sees every frame, and frames per second after that."""
 LIFT_MM_S = 20.0
 WITHIN_S, EARLY_S = 0.1, 0.05
-"""Limits in s: a report is in time up to `WITHIN_S` after the onset, and false more than `EARLY_S` before it."""
+"""Limits in s: a report is in time up to `WITHIN_S` after the onset,
+and false more than `EARLY_S` before it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +71,8 @@ class Seen:
 class SlideRow(Seen):
     """An object that is dragged until it slides, seen by one profile; NaN means never.
 
-    `onset_s` is when the whole contact truly slides, `reported_s` when a slip was first reported, and the last two are
-    speeds over the skin 0.15 s after the onset.
+    `onset_s` is when the whole contact truly slides, `reported_s` when a slip was first reported,
+    and the last two are speeds over the skin 0.15 s after the onset.
     """
 
     speed_mm_s: float
@@ -104,9 +107,9 @@ class HeldRow(Seen):
 class ReleaseRow(Seen):
     """An object that is lifted off after half a second.
 
-    `dent_mm` is the greatest h that remains when nothing touches, `reported_s` the time from the first frame without
-    contact to the first frame reported as such (NaN: not within `AFTER_S`); `frames` counts the frames after that, and
-    `phantoms` those in which a contact is reported.
+    `dent_mm` is the greatest h that remains when nothing touches, `reported_s` the time from the
+    first frame without contact to the first frame reported as such (NaN: not within `AFTER_S`);
+    `frames` counts the frames after that, and `phantoms` those in which a contact is reported.
     """
 
     depth_mm: float
@@ -285,6 +288,13 @@ SLIDES: dict[str, Callable[[Sequence[SlideRow]], str]] = {
     "early": lambda some: str(sum(row.is_early for row in some)),
     "speed found / true": lambda some: _median([_ratio(row) for row in _there(some)], ".2f"),
 }
+
+
+def _latest_s(some: Sequence[ReleaseRow]) -> float:
+    reported_s = (row.reported_s for row in some if not math.isnan(row.reported_s))
+    return max(reported_s, default=math.nan)
+
+
 HELD: dict[str, Callable[[Sequence[HeldRow]], str]] = {
     "minutes": lambda some: f"{sum(row.held_s for row in some) / 60:.1f}",
     "slips reported": lambda some: str(sum(row.slips for row in some)),
@@ -293,9 +303,7 @@ RELEASES: dict[str, Callable[[Sequence[ReleaseRow]], str]] = {
     "releases": lambda some: str(len(some)),
     "deepest dent mm": lambda some: f"{max(row.dent_mm for row in some):.2f}",
     "in time %": lambda some: f"{100 * np.mean([row.reported_s <= WITHIN_S for row in some]):.0f}",
-    "latest ms": lambda some: (
-        f"{1000 * max((r.reported_s for r in some if not math.isnan(r.reported_s)), default=math.nan):.0f}"
-    ),
+    "latest ms": lambda some: f"{1000 * _latest_s(some):.0f}",
     "never": lambda some: str(sum(math.isnan(row.reported_s) for row in some)),
     "frames after": lambda some: str(sum(row.frames for row in some)),
     "phantoms": lambda some: str(sum(row.phantoms for row in some)),

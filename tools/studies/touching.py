@@ -1,8 +1,10 @@
-"""How many objects are found where two of them touch each other, and where there is one long or branched object.
+"""How many objects are found where two of them touch each other,
+and where there is one long or branched object.
 
 ::
 
-    .venv/bin/python -m tools.studies.touching [--profile NAME...] [--sensors SEED,... | --final] [--references N]
+    .venv/bin/python -m tools.studies.touching [--profile NAME...] [--sensors SEED,... | --final]
+        [--references N]
         [--presses N] [--out DIR]
 """
 
@@ -44,13 +46,17 @@ DRAG_MM = 2.0
 PAIR_PLACES, SINGLE_PLACES = 5, 3
 NOISE = 9000
 LEAST_MM = 0.5
-"""Least true depth of an object that counts; depths, drags and sizes are those on a skin of 20 mm."""
+"""Least true depth of an object that counts; depths,
+drags and sizes are those on a skin of 20 mm.
+"""
 _HEIGHT_MM = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One of two objects: its shape, the distance from its axis to the face that the other one touches, its scale."""
+    """One of two objects: its shape, the distance from its axis to the face
+    that the other one touches, its scale.
+    """
 
     shape: Shape
     half_mm: float
@@ -116,10 +122,11 @@ SINGLES: dict[str, Callable[[], Shape]] = {
 
 @dataclass(frozen=True, slots=True)
 class TouchingRow:
-    """One frame by one profile: the number of objects that touch the skin, of connected contacts and of objects found.
+    """One frame by one profile: the number of objects that touch the skin,
+    of connected contacts and of objects found.
 
-    `own_part` is the part of the points that have the number of the object that is nearest to them, NaN unless two were
-    found of two.
+    `own_part` is the part of the points that have the number of the object that is nearest to them,
+    NaN unless two were found of two.
     """
 
     profile: str
@@ -137,8 +144,10 @@ class TouchingRow:
 def pair_presses(
     model: SensorModel, parts: Sequence[Part], gap_mm: float, middle: Press
 ) -> tuple[Press, ...]:
-    """Two objects on one level, a gap apart, with the middle of the gap at a press, which they are turned, pressed and
-    dragged like. Raises ValueError if one is not over the skin.
+    """Two objects on one level, a gap apart, with the middle of the gap at a press, which they are
+    turned, pressed and dragged like.
+
+    Raises ValueError if one is not over the skin.
     """
     scale, turn = model.skin_radius_mm / 20, math.radians(middle.rotation_deg)
     made = []

@@ -1,4 +1,6 @@
-"""``tacshade-edge calibrate``: makes a calibration file from references, presses and labels, or renews a reference."""
+"""``tacshade-edge calibrate``: makes a calibration file from references, presses and labels,
+or renews a reference.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--touches",
         "IMG",
-        "pictures of touches without labels, or folders: they choose the twin of --fit and judge it",
+        (
+            "pictures of touches without labels, or folders: "
+            "they choose the twin of --fit and judge it"
+        ),
         nargs="+",
     )
     add_option(
@@ -132,8 +137,8 @@ def run(args: argparse.Namespace) -> int:
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
     if args.fit and sensor.visible_half_angle_deg < FLAT_DEG:
         raise ConfigError(
-            f"--fit: {args.sensor} states a pad or a dome of less than {FLAT_DEG:g} degrees, expected a rounder one: "
-            "a fit simulates no twin of a flat skin"
+            f"--fit: {args.sensor} states a pad or a dome of less than {FLAT_DEG:g} degrees, "
+            "expected a rounder one: a fit simulates no twin of a flat skin"
         )
     if args.fit:
         need("--fit", "fit", "torch", "numba")  # large, and needed only here
@@ -217,7 +222,9 @@ def places_px(geometry: Geometry, presses: Sequence[KnownPress]) -> list[list[fl
 def _presses(
     args: argparse.Namespace, skin_radius_mm: float
 ) -> tuple[Sequence[KnownPress], tuple[str, ...]]:
-    """Return the presses of the table, with depths for travels if so asked, and remarks on the table."""
+    """Return the presses of the table, with depths for travels if so asked,
+    and remarks on the table.
+    """
     indenters = read_indenters(args.indenters) if args.indenters else {}
     presses, notes = read_presses(args.presses, indenters)
     if not presses:
@@ -283,7 +290,8 @@ def _read_touches(paths: Sequence[Path], reference: U8) -> list[U8]:
             raise ConfigError(f"--touches: {error}") from None
         if _size(image) != _size(reference):
             raise ConfigError(
-                f"--touches: {path}: found {_size(image)} px, expected {_size(reference)} px as in the references"
+                f"--touches: {path}: found {_size(image)} px, expected {_size(reference)} px as "
+                "in the references"
             )
         made.append(image)
     return made
@@ -331,7 +339,10 @@ def _fit_report(fitted: FitResult) -> dict[str, Any]:
 def _learn(
     calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]
 ) -> list[TouchResult]:
-    """Learn a touch model per profile. Raises ConfigError for an unreadable image or too few rows of every quantity."""
+    """Learn a touch model per profile.
+
+    Raises ConfigError for an unreadable image or too few rows of every quantity.
+    """
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(

@@ -147,7 +147,8 @@ def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_
             print(f"{'refused' if each.reason else 'passes':<8} {named}{why}")
         print("", *figures(judged), "", sep="\n")
         print(f"{len(passing)} of {len(judged)} pass", flush=True)
-        # Finding a print takes up to a minute: whoever wants no more than the judges has read them by now.
+        # Finding a print takes up to a minute: whoever wants no more than the judges has read them
+        # by now.
         _print_doubts(_shares_left(calibration, profile, passing))
     return EXIT_FAILED if len(passing) < len(judged) else EXIT_OK
 

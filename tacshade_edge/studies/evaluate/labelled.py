@@ -1,4 +1,6 @@
-"""Frames with labels instead of surfaces: how well found depth, tilt and shear follow the labels."""
+"""Frames with labels instead of surfaces: how well found depth,
+tilt and shear follow the labels.
+"""
 
 from __future__ import annotations
 
@@ -112,11 +114,17 @@ def text(rows: Iterable[FoundRow], made: Mapping[str, Sequence[Agreement]]) -> s
         for profile, some in made.items()
         for e in some
     ]
-    return f"{counts}\n\n{markdown(('profile', 'quantity', 'frames', 'rank correlation', 'mean error'), figures)}"
+    return (
+        f"{counts}\n"
+        "\n"
+        f"{markdown(('profile', 'quantity', 'frames', 'rank correlation', 'mean error'), figures)}"
+    )
 
 
 def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
-    """Compare one quantity with another; fit a line on every other frame and score it on the rest."""
+    """Compare one quantity with another; fit a line on every other frame
+    and score it on the rest.
+    """
     there = np.isfinite(found) & np.isfinite(true)
     found, true = found[there], true[there]
     if len(found) < 4:
@@ -128,7 +136,9 @@ def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
 
 
 def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
-    """Map found (N, n) linearly to two true axes (N, 2); fit on every other frame and score on the rest."""
+    """Map found (N, n) linearly to two true axes (N, 2);
+    fit on every other frame and score on the rest.
+    """
     there = np.isfinite(found).all(axis=1) & np.isfinite(true).all(axis=1)
     found, true = found[there], true[there]
     if len(found) < 4 * found.shape[1]:

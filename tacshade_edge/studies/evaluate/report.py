@@ -1,4 +1,6 @@
-"""Summarise the rows of an evaluation to the quoted figures; format them for people (tables) and programs (JSON)."""
+"""Summarise the rows of an evaluation to the quoted figures;
+format them for people (tables) and programs (JSON).
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,9 @@ COUNTS = ("found", "touched", "missed")
 class Figures:
     """Means over presses, NaN if nothing is known; the depth error is the mean absolute one.
 
-    Presses are found, `touched` (their depth is unknown) or missed. Where none was found, the cloud is empty and counts
-    as undeformed skin: SD is 0, and ME and the backward distance are the true depth.
+    Presses are found, `touched` (their depth is unknown) or missed. Where none was found, the cloud
+    is empty and counts as undeformed skin: SD is 0, and ME and the backward distance are the true
+    depth.
     """
 
     presses: int
@@ -58,7 +61,9 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class NullFigures:
-    """Figures of the frames without contact: phantoms, `touched` frames, the greatest depth, and refused frames."""
+    """Figures of the frames without contact: phantoms, `touched` frames, the greatest depth,
+    and refused frames.
+    """
 
     frames: int
     phantoms: int
@@ -108,7 +113,9 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown tables, readable as plain text too: objects and profiles, separately for each family."""
+    """Markdown tables, readable as plain text too:
+    objects and profiles, separately for each family.
+    """
     families = tables.grouped(rows, lambda row: family_of(row.sensor))
     if len(families) < 2:
         return _family_table(rows)
@@ -163,7 +170,9 @@ def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Seq
 
 
 def document(rows: Sequence[Row], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything except the rows, for JSON: settings, versions, Table I, and the summary of each profile."""
+    """Everything except the rows, for JSON: settings, versions, Table I,
+    and the summary of each profile.
+    """
     summaries = {
         profile: {
             "all": asdict(figures(some)),

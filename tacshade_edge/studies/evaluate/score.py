@@ -1,4 +1,6 @@
-"""Score a reconstruction against its ground truth: eqs. 13 and 14 of the paper, the outline, the depth."""
+"""Score a reconstruction against its ground truth: eqs.
+13 and 14 of the paper, the outline, the depth.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ NOTHING = np.zeros((0, 3), dtype=np.float32)
 
 @dataclass(frozen=True, slots=True)
 class CloudScore:
-    """The agreement of a reconstructed cloud with the true one; for an empty cloud, SD is 0 and distances are NaN."""
+    """The agreement of a reconstructed cloud with the true one;
+    for an empty cloud, SD is 0 and distances are NaN.
+    """
 
     me_mm: float  # eq. 13, the mean distance from reconstructed points to the nearest true point
     sd: float  # eq. 14 with half the sum of both mean distances (unsquared), not clamped at 0
@@ -33,7 +37,9 @@ class CloudScore:
 
 
 def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudScore:
-    """Compute ME and SD of a cloud (N, 3), given the true points (M, 3; M > 0) and the true maximum of h."""
+    """Compute ME and SD of a cloud (N, 3), given the true points (M, 3;
+    M > 0) and the true maximum of h.
+    """
     from scipy.spatial import cKDTree  # scoring is not on the daemon's path
 
     if not len(points_mm):
@@ -56,7 +62,8 @@ def contact_iou(found: Bool, true: Bool) -> float:
 
 @frozen
 class KnownTruth:
-    """The ground truth of a frame: skin points in contact, the greatest h over the disc, and the contact if known.
+    """The ground truth of a frame: skin points in contact, the greatest h over the disc,
+    and the contact if known.
 
     Cell (i, j) of `contact` is pixel (row0 + i·step_px, col0 + j·step_px).
     """
@@ -76,12 +83,16 @@ class KnownTruth:
         return cls(between_pixels(true.points_mm, true.contact), true.depth_max_mm, true.contact)
 
     def contact_on(self, height: HeightMap) -> Bool | None:
-        """Sample `contact` at the cells of a height map (the nearest cell; False beyond its edge)."""
+        """Sample `contact` at the cells of a height map (the nearest cell;
+        False beyond its edge).
+        """
         taken: Bool | None = self.sampled(self.contact, height, False)
         return taken
 
     def sampled(self, values: Any, height: HeightMap, beyond: float = math.nan) -> Any:
-        """Sample one of the maps at the cells of a height map (the nearest cell); None if it is not known."""
+        """Sample one of the maps at the cells of a height map (the nearest cell);
+        None if it is not known.
+        """
         if values is None:
             return None
         at, inside = [], []
@@ -108,10 +119,12 @@ class KnownTruth:
 
 
 def between_pixels(points_mm: F32, contact: Bool) -> F32:
-    """Add the midpoints between neighbouring pixels' points, which are in the order of the pixels of `contact`.
+    """Add the midpoints between neighbouring pixels' points,
+    which are in the order of the pixels of `contact`.
 
-    Without them, a found point between pixels would have an error of up to half a pixel. Across a steep step, over
-    three times the usual distance, no midpoint is added. The given points come first.
+    Without them, a found point between pixels would have an error of up to half a pixel. Across a
+    steep step, over three times the usual distance, no midpoint is added. The given points come
+    first.
     """
     at = np.full((*contact.shape, 3), np.nan, np.float32)
     at[contact] = points_mm
@@ -134,7 +147,9 @@ def between_pixels(points_mm: F32, contact: Bool) -> F32:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """The columns of a row that identify its frame; `object` is ``none`` for a frame without contact."""
+    """The columns of a row that identify its frame;
+    `object` is ``none`` for a frame without contact.
+    """
 
     sensor: str
     object: str
@@ -149,10 +164,11 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """The scores of one profile on one frame; each attribute is a column of evaluation.csv, empty if NaN.
+    """The scores of one profile on one frame; each attribute is a column of evaluation.csv,
+    empty if NaN.
 
-    Without true contact, errors are NaN; where the result has no contact, ME and the backward distance are, and where
-    it is `touched` everything about depth.
+    Without true contact, errors are NaN; where the result has no contact, ME and the backward
+    distance are, and where it is `touched` everything about depth.
     """
 
     profile: str
@@ -226,11 +242,12 @@ _DEPTH_MIN_MM, _DEPTH_PART_MAX = (
 def read_truth(
     path: Path, image_size_px: tuple[int, int], geometry: Geometry
 ) -> tuple[KnownTruth, str]:
-    """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the object's name:
-    ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all (docs/reference/calibration-checks.md).
+    """Read an image's ground truth, the keys that ``tacshade-edge simulate`` writes, and the
+    object's name: ``points_mm`` (N, 3), or ``height_mm`` and ``contact`` (rows, cols), or all
+    (docs/reference/calibration-checks.md).
 
-    Raises DecodeError if the file is missing, damaged, or has other keys or another size than the image (height,
-    width).
+    Raises DecodeError if the file is missing, damaged,
+    or has other keys or another size than the image (height, width).
     """
     content = _content(path)
     try:
@@ -278,7 +295,8 @@ def _truth(
         _check_covers("shear_mm", shear.shape[:2], (row0, col0, step), image_size_px)
         if shear.shape[2] != 2:
             raise DecodeError(
-                f"shear_mm: found numbers of shape {shear.shape}, expected the shape (rows, cols, 2)"
+                f"shear_mm: found numbers of shape {shear.shape}, expected the shape (rows, cols, "
+                "2)"
             )
     return KnownTruth(
         points.astype(np.float32), depth_max, contact, row0, col0, step, height, shear
@@ -288,7 +306,10 @@ def _truth(
 def _depth_max(
     content: Mapping[str, Any], height: F64 | None, points: F64, geometry: Geometry
 ) -> float:
-    """The greatest h over the disc. Raises DecodeError if it, or that of the points in contact, cannot be."""
+    """The greatest h over the disc.
+
+    Raises DecodeError if it, or that of the points in contact, cannot be.
+    """
     deepest = float(point_heights(points, geometry).max()) if len(points) else 0.0
     depth_max = _number(
         content,
@@ -333,6 +354,6 @@ def _check_covers(
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
             raise DecodeError(
-                f"{key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected cells that cover the "
-                f"image's {image_size_px[1]}x{image_size_px[0]} px"
+                f"{key}: found {shape[1]}x{shape[0]} cells of {step:g} px, expected cells that "
+                f"cover the image's {image_size_px[1]}x{image_size_px[0]} px"
             )

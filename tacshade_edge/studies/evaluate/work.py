@@ -1,4 +1,6 @@
-"""Experiment 1: images of presses and of the untouched skin with their truth, their scores, and the time they take."""
+"""Experiment 1: images of presses and of the untouched skin with their truth, their scores,
+and the time they take.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ from tacshade_edge.types import U8, Calibration, Frame
 REFERENCES, PRESSES = 8, 40
 """Default numbers of images for calibrating a sensor."""
 
-# Each image of a sensor has its own noise seed: references, presses, scenes, frames without contact.
+# Each image of a sensor has its own noise seed:
+# references, presses, scenes, frames without contact.
 REFERENCE_NOISE, PRESS_NOISE, SCENE_NOISE, NULL_NOISE = 1000, 2000, 3000, 4000
 
 
@@ -54,12 +57,16 @@ def tacshade(seed: int | None) -> SimulatedSensor:
 
 
 FAMILIES: dict[str, Callable[[int | None], PressedSensor]] = {"tacshade": tacshade}
-"""For each family, a module-level function that makes the sensor of a seed (None: the default sensor)."""
+"""For each family, a module-level function that makes the sensor of a seed (None:
+the default sensor).
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorName:
-    """The name of a reproducible sensor: its family, and its seed or None for the family's default."""
+    """The name of a reproducible sensor: its family,
+    and its seed or None for the family's default.
+    """
 
     family: str
     seed: int | None
@@ -106,7 +113,8 @@ def _in_family(
 
 
 def calibrated(name: SensorName, references: int, presses: int) -> CalibrationResult:
-    """Calibrate on references and known ball presses, using nothing of the model beyond its SENSOR.yaml.
+    """Calibrate on references and known ball presses,
+    using nothing of the model beyond its SENSOR.yaml.
 
     Raises ConfigError, which names the sensor, if it cannot be calibrated.
     """
@@ -119,7 +127,10 @@ def calibrated(name: SensorName, references: int, presses: int) -> CalibrationRe
 def calibrated_sensor(
     sensor: PressedSensor, seed: int, references: int, presses: int
 ) -> CalibrationResult:
-    """Calibrate a sensor without a name; its presses are drawn from the seed. Raises ConfigError."""
+    """Calibrate a sensor without a name; its presses are drawn from the seed.
+
+    Raises ConfigError.
+    """
     model = sensor.model
     stated = Sensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
@@ -142,7 +153,10 @@ def calibrated_sensor(
 def calibrate_sensors(
     sensors: Sequence[SensorName], references: int, presses: int, workers: Workers, report: Report
 ) -> list[CalibrationResult]:
-    """Calibrate every sensor. Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed)."""
+    """Calibrate every sensor.
+
+    Raises ConfigError (one cannot be calibrated) and DeviceError (a worker was killed).
+    """
     job = partial(calibrated, references=references, presses=presses)
     return list(reported_map(job, sensors, workers, report, "sensors calibrated"))
 
@@ -165,7 +179,9 @@ def one_thread() -> Iterator[None]:
 
 DEPTHS_MM = (1.5, 3.0, 4.5)
 RINGS = ((0.0, 0.1), (0.2, 0.28), (0.32, 0.38))
-"""Ranges of the distance from the tip, in skin radii: in the middle, next to it, and well off it."""
+"""Ranges of the distance from the tip, in skin radii:
+in the middle, next to it, and well off it.
+"""
 NULL_FRAMES = 20
 
 
@@ -179,7 +195,9 @@ class Scene:
 
 
 def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, float]]:
-    """Draw x and y in mm and a rotation in degrees, one in each of `RINGS`; the same seed gives the same places."""
+    """Draw x and y in mm and a rotation in degrees, one in each of `RINGS`;
+    the same seed gives the same places.
+    """
     rng = np.random.default_rng((0 if seed is None else seed + 1, 21))
     drawn = []
     for low, high in RINGS:
@@ -194,7 +212,9 @@ def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, flo
 def scenes(
     model: SensorModel, seed: int | None, object_name: str, depths_mm: Sequence[float] = DEPTHS_MM
 ) -> list[Scene]:
-    """Scenes of one object at every place and depth; the object scales with the skin radius relative to 20 mm."""
+    """Scenes of one object at every place and depth;
+    the object scales with the skin radius relative to 20 mm.
+    """
     scale = model.skin_radius_mm / 20
     shape = OBJECTS[object_name]()
     grid = [(place, depth) for place in places(model, seed) for depth in depths_mm]
@@ -235,7 +255,9 @@ def press_cases(name: SensorName, sensor: PressedSensor, scenes: Iterable[Scene]
 
 
 def null_cases(name: SensorName | str, sensor: PressedSensor, count: int) -> Iterator[Case]:
-    """Yield pictures of the untouched skin as from a sensor in use: in turn unchanged, in other light, and shifted."""
+    """Yield pictures of the untouched skin as from a sensor in use:
+    in turn unchanged, in other light, and shifted.
+    """
     changes: dict[str, Callable[[U8], U8]] = {
         "": lambda image: image,
         "light x0.8": lambda image: camera_faults.gain(image, 0.8),
@@ -260,7 +282,8 @@ def evaluate(
     depths_mm: Sequence[float] = DEPTHS_MM,
     null_frames: int = NULL_FRAMES,
 ) -> tuple[list[Row], list[CalibrationResult]]:
-    """A row for each frame and profile, and each sensor's calibration; the same again for the same values.
+    """A row for each frame and profile, and each sensor's calibration;
+    the same again for the same values.
 
     Raises ConfigError (a sensor cannot be calibrated) and DeviceError (a worker was killed).
     """
@@ -282,7 +305,9 @@ def _rows(
     null_frames: int,
     task: tuple[SensorName, Calibration, str | None],
 ) -> list[Row]:
-    """Score every profile on every press of one object on one sensor, or on frames without contact."""
+    """Score every profile on every press of one object on one sensor,
+    or on frames without contact.
+    """
     name, calibration, object_name = task
     sensor = name.make()
     cases = (
@@ -312,7 +337,9 @@ def read_images(
     report: Report,
     mistake: Callable[[str], None],
 ) -> Iterator[Case]:
-    """Yield images with their ground truth; report an unusable one to `mistake` in one line and continue."""
+    """Yield images with their ground truth; report an unusable one to `mistake` in one line
+    and continue.
+    """
     size = (calibration.image_height_px, calibration.image_width_px)
     for k, path in enumerate(images):
         report("images", k, len(images))
@@ -323,7 +350,8 @@ def read_images(
                     f"{width}x{height} px" for height, width in (image.shape[:2], size)
                 )
                 raise DecodeError(
-                    f"{path}: found {found}, expected {expected}, the size of the calibration's images"
+                    f"{path}: found {found}, expected {expected}, "
+                    "the size of the calibration's images"
                 )
             truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
         except DecodeError as error:

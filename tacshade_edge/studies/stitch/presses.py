@@ -1,4 +1,6 @@
-"""Convert posed images or a recording to presses, presses to a map, and both to the input of `find_flange`."""
+"""Convert posed images or a recording to presses, presses to a map,
+and both to the input of `find_flange`.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ _UNMEASURED = Reason(ReasonCode.NO_CONTACT, "something touches, but its depth is
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One image's contact; `points` is empty if the image is `skipped`: invalid, no contact, no pose, unreadable."""
+    """One image's contact; `points` is empty if the image is `skipped`:
+    invalid, no contact, no pose, unreadable.
+    """
 
     name: str
     where: str  # the line or file that states the press, for messages
@@ -88,7 +92,8 @@ def read_recording(
 ) -> list[Press]:
     """Reconstruct every frame; each contact that comes to rest is a press, as in the daemon.
 
-    Unusable frames are passed over; a contact that comes to rest without a pose gives a skipped press.
+    Unusable frames are passed over; a contact that comes
+    to rest without a pose gives a skipped press.
     """
     reconstructor, rest = make_reconstructor(calibration, profile), RestDetector()
     flange_T_sensor = from_seven(calibration.flange_T_sensor)
@@ -119,7 +124,10 @@ def read_recording(
 
 
 def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
-    """A stitcher with all presses that have points, in order. Raises ConfigError if their map is too large."""
+    """A stitcher with all presses that have points, in order.
+
+    Raises ConfigError if their map is too large.
+    """
     stitcher = Stitcher(skin_radius_mm)
     for press in presses:
         if press.skipped:
@@ -132,7 +140,8 @@ def stitcher_of(presses: Sequence[Press], skin_radius_mm: float) -> Stitcher:
 
 
 def averaged(presses: Sequence[Press]) -> StitchedMap:
-    """The paper's map (section V-B): the points of all presses at the reported poses, averaged within a radius.
+    """The paper's map (section V-B): the points of all presses at the reported poses,
+    averaged within a radius.
 
     Raises ConfigError if the map is too large.
     """
@@ -183,7 +192,8 @@ class _Contact:
 def read_contact_frames(
     calibration: Calibration, profile: Profile, recording: Recording
 ) -> tuple[list[ContactFrame], list[Reason]]:
-    """Reconstruct every frame; keep each contact's frame at rest, and some in which the robot moved.
+    """Reconstruct every frame; keep each contact's frame at rest,
+    and some in which the robot moved.
 
     The second list has the reasons of the frames that cannot be read.
     """

@@ -1,4 +1,6 @@
-"""Judge a map by a known surface, beside the paper's average of the same presses, in figures and in a picture."""
+"""Judge a map by a known surface, beside the paper's average of the same presses,
+in figures and in a picture.
+"""
 
 from __future__ import annotations
 
@@ -61,12 +63,16 @@ def read_known(path: Path) -> Raster:
         ) from None
     except (DecodeError, KeyError) as error:
         raise ConfigError(
-            f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
+            f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, "
+            "y0_mm and step_mm"
         ) from None
 
 
 def score(found: Raster, known: Raster) -> Score:
-    """Compare a map cell by cell with the nearest known height. Raises ConfigError if they share no cell."""
+    """Compare a map cell by cell with the nearest known height.
+
+    Raises ConfigError if they share no cell.
+    """
     true = at_cells_of(known, found)
     covered = np.isfinite(found.z_mm)
     both = covered & np.isfinite(true)
@@ -120,7 +126,9 @@ _UNTOUCHED_GREY = 225
 
 
 def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
-    """The picture over the known surface, seen from above with y upwards and axes in mm; three panels share colours."""
+    """The picture over the known surface, seen from above with y upwards and axes in mm;
+    three panels share colours.
+    """
     span_mm = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
     ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
     up = np.minimum(2 * np.arange(256), 255)
@@ -144,7 +152,9 @@ def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
 
 
 def _panel(title: str, grid: Raster, z_mm: F32, span: tuple[float, float], colours: U8) -> U8:
-    """Values on the cells of `grid` in colours, grey where there are none, beside the bar of their span."""
+    """Values on the cells of `grid` in colours, grey where there are none,
+    beside the bar of their span.
+    """
     zoom = max(1, _PANEL_PX // z_mm.shape[1])
     level = np.nan_to_num(np.clip((z_mm - span[0]) / (span[1] - span[0]), 0, 1) * 255).astype(
         np.uint8

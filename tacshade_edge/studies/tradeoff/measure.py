@@ -52,7 +52,9 @@ HELD = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What the daemon computes and encodes for a topic, and the error by which `errors` judges it."""
+    """What the daemon computes and encodes for a topic,
+    and the error by which `errors` judges it.
+    """
 
     need: Need
     encode: Callable[[Reconstruction], bytes]
@@ -80,7 +82,9 @@ OUTPUTS: dict[str, Output] = {
 
 
 def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
-    """How wrong each output is, as far as that is known; a missed contact counts as undeformed skin."""
+    """How wrong each output is, as far as that is known;
+    a missed contact counts as undeformed skin.
+    """
     height, points = result.height, result.cloud.points_mm
     found = {"contact": abs(result.depth_max_mm - truth.depth_max_mm)}
     found["cloud"] = (
@@ -107,7 +111,9 @@ def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A profile at the calibration's image size or half of it, with the calibration's fitted networks or without."""
+    """A profile at the calibration's image size or half of it,
+    with the calibration's fitted networks or without.
+    """
 
     profile: str
     half: bool
@@ -133,7 +139,9 @@ class Setting:
 
 
 def settings(profiles: Sequence[str], calibration: Calibration) -> tuple[Setting, ...]:
-    """All settings of these profiles; fitted ones where the calibration has a fitted network of the profile."""
+    """All settings of these profiles; fitted ones where the calibration has a fitted network
+    of the profile.
+    """
     even = calibration.image_height_px % 2 == calibration.image_width_px % 2 == 0
     return tuple(
         Setting(profile, half, fitted)
@@ -191,7 +199,8 @@ def simulated(
     workers: Workers,
     report: Report,
 ) -> list[Judged]:
-    """Press and drag every object at one place and three depths of each sensor, and judge the settings.
+    """Press and drag every object at one place and three depths of each sensor,
+    and judge the settings.
 
     Raises DeviceError (a worker was killed).
     """
@@ -238,8 +247,8 @@ def weigh(
 ) -> list[float]:
     """Peak memory in MiB that each setting, with every output, adds to a process of its own.
 
-    Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and networks, and the
-    temporary memory of a step, do. Raises DeviceError (a worker was killed).
+    Python, NumPy, OpenCV, ONNX Runtime and the images do not count; the reconstructor's tables and
+    networks, and the temporary memory of a step, do. Raises DeviceError (a worker was killed).
     """
     tasks = [(setting, calibration, images) for setting in settings]
     with processes(fresh=True) as workers:
@@ -267,7 +276,9 @@ def _peak_kib() -> int:
 
 
 class Parts:
-    """Processor time in ms of each part of a frame on this thread; call it with a part's name at its end."""
+    """Processor time in ms of each part of a frame on this thread;
+    call it with a part's name at its end.
+    """
 
     def __init__(self) -> None:
         self.ms: dict[str, float] = {}
@@ -334,7 +345,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Processor time of a frame in contact, NaN if none was found, and the median of frames without contact."""
+    """Processor time of a frame in contact, NaN if none was found,
+    and the median of frames without contact.
+    """
 
     p50_ms: float
     p99_ms: float
@@ -365,12 +378,16 @@ class Row:
         return f"{self.width_px}x{self.height_px}"
 
     def fps(self, fingers: int, cores: int) -> float:
-        """Frames in contact per second that each finger can have, at most a core each, in `HELD` of the processor."""
+        """Frames in contact per second that each finger can have, at most a core each,
+        in `HELD` of the processor.
+        """
         return HELD * 1000 / self.times.mean_ms * min(1.0, cores / fingers)
 
 
 def relative_errors(rows: Sequence[Row]) -> F64:
-    """The errors of rows of the same outputs in units of the least of them, averaged over outputs; NaN if unknown."""
+    """The errors of rows of the same outputs in units of the least of them, averaged over outputs;
+    NaN if unknown.
+    """
     errors = np.array([[each.value for each in row.errors.values()] for row in rows])
     known = errors[:, np.isfinite(errors).any(axis=0)] if len(rows) else errors
     if not known.size:
@@ -386,11 +403,11 @@ def measure(
     judged: Sequence[Judged],
     report: Report,
 ) -> tuple[list[Row], float]:
-    """Weigh and time the settings on the first sensor's images, whose calibration it is: a row for each setting that
-    has all the outputs asked for together.
+    """Weigh and time the settings on the first sensor's images, whose calibration it is: a row for
+    each setting that has all the outputs asked for together.
 
-    Also returns elapsed time over this thread's processor time, 1 if nothing else ran. Raises DeviceError (a worker
-    was killed).
+    Also returns elapsed time over this thread's processor time, 1 if nothing else ran. Raises
+    DeviceError (a worker was killed).
     """
     touched, untouched = (
         [each for each in judged if each.touched is touched] for touched in (True, False)
@@ -443,7 +460,9 @@ def measure(
 
 
 def _estimates(errors: F64) -> list[list[Estimate]]:
-    """Means over scenes of errors (scenes, settings, outputs); every setting and output sees the same draws."""
+    """Means over scenes of errors (scenes, settings, outputs);
+    every setting and output sees the same draws.
+    """
     count = len(errors)
     drawn = np.random.default_rng(0).integers(max(count, 1), size=(DRAWS, count))
     values = _mean(errors[None])[0]

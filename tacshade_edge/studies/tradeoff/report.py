@@ -1,4 +1,6 @@
-"""Rows of a measurement for people (Markdown, a plot), programs (CSV, JSON), settings files and the list of boards."""
+"""Rows of a measurement for people (Markdown, a plot), programs (CSV, JSON),
+settings files and the list of boards.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from tacshade_edge.studies.tradeoff.measure import OUTPUTS, Estimate, Row, relat
 HAND = 4
 """Number of fingers for which the table shows a rate."""
 HALF_WORSE = 1.05
-"""Images of half the size must be this much more accurate to be chosen, because they need another calibration."""
+"""Images of half the size must be this much more accurate to be chosen,
+because they need another calibration.
+"""
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
 
 
@@ -123,7 +127,9 @@ class Wish:
     cores: int
 
     def held_by(self, row: Row) -> bool:
-        """Whether 99 of 100 frames in contact stay within the budget, and all fingers can have the rate."""
+        """Whether 99 of 100 frames in contact stay within the budget,
+        and all fingers can have the rate.
+        """
         in_time = row.times.p99_ms <= (math.inf if self.budget_ms is None else self.budget_ms)
         return in_time and row.fps(self.fingers, self.cores) >= (self.fps or 0)
 
@@ -137,9 +143,11 @@ class Wish:
 
 
 def choose(rows: Sequence[Row], wish: Wish) -> tuple[bool, str]:
-    """The most accurate of rows of the same outputs that holds: as YAML for a settings file, with what is given up.
+    """The most accurate of rows of the same outputs that holds:
+    as YAML for a settings file, with what is given up.
 
-    False and one line, if none holds. Networks run fitted where they are fitted: a user cannot choose.
+    False and one line, if none holds. Networks run fitted where they are fitted:
+    a user cannot choose.
     """
     fitted = {row.setting.profile for row in rows if row.setting.fitted}
     usual = [
@@ -185,11 +193,16 @@ def choose(rows: Sequence[Row], wish: Wish) -> tuple[bool, str]:
 
 def _said(row: Row, wish: Wish) -> str:
     rate = f"at most {row.fps(wish.fingers, wish.cores):.0f} frames/s"
-    return f"{row.setting.profile} at {row.image}: off by {_errors(row)}; p99 {row.times.p99_ms:.2f} ms, {rate}"
+    return (
+        f"{row.setting.profile} at {row.image}: off by {_errors(row)}; "
+        f"p99 {row.times.p99_ms:.2f} ms, {rate}"
+    )
 
 
 def draw(rows: Sequence[Row], budget_ms: float | None) -> bytes:
-    """Plot error against p50 as a PNG: a panel for each output, with intervals, front and budget."""
+    """Plot error against p50 as a PNG: a panel for each output, with intervals,
+    front and budget.
+    """
     single = [row for row in rows if len(row.outputs) == 1] or rows
     panels = [
         (r.outputs, name)

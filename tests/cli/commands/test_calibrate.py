@@ -41,7 +41,9 @@ def alone(words: list[str]) -> list[str]:
 
 
 def with_table(words: list[str], path: Path, rows: list[list[str]]) -> list[str]:
-    """The words of `calibrate` with another table, whose first column names images of the first one."""
+    """The words of `calibrate` with another table,
+    whose first column names images of the first one.
+    """
     folder = Path(words[3]).parent
     with path.open("w", newline="") as stream:
         csv.writer(stream).writerows(

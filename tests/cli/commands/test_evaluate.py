@@ -157,7 +157,10 @@ def test_labelled_frames_of_another_camera_are_said_to_be_so(
     cv2.imwrite(str(own / "images" / "large.png"), np.zeros((2 * HEIGHT, WIDTH), np.uint8))
     (own / "LABELS.csv").write_text("image,depth_mm\nlarge.png,1\n")
     assert main(of_own(own, "--labels", str(own / "LABELS.csv"), "--profile", "fast")) == 1
-    found = f"the first: size: found {WIDTH}x{2 * HEIGHT} px, expected the calibration's {WIDTH}x{HEIGHT} px; are they"
+    found = (
+        f"the first: size: found {WIDTH}x{2 * HEIGHT} px, expected the calibration's "
+        f"{WIDTH}x{HEIGHT} px; are they"
+    )
     assert f"{own}/images: every frame is invalid, {found}" in capsys.readouterr().err
 
 

@@ -1,4 +1,6 @@
-"""Cameras that no simulated sensor of the training has: a distorting fisheye lens and a tilted pinhole."""
+"""Cameras that no simulated sensor of the training has:
+a distorting fisheye lens and a tilted pinhole.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,8 @@ HEIGHT_PX, WIDTH_PX = 480, 640
 class Camera:
     """A camera below the skin's middle O that looks along +z, tilted about x, then y.
 
-    A point at an angle ψ from the axis lies `focal_px` (ψ + `distortion` ψ³) from (`row_c`, `col_c`) through a fisheye
-    lens, and `focal_px` tan ψ through a pinhole.
+    A point at an angle ψ from the axis lies `focal_px` (ψ + `distortion` ψ³) from (`row_c`,
+    `col_c`) through a fisheye lens, and `focal_px` tan ψ through a pinhole.
     """
 
     lens: Literal["fisheye", "pinhole"]

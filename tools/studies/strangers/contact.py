@@ -1,8 +1,9 @@
 """Contact of a linear elastic skin with a rigid object that moves, with Coulomb friction.
 
-The skin answers to forces at its points through a compliance matrix. At every step of the object's motion, the forces
-are relaxed point by point until no point lies inside the object, none is pulled, and each point of contact either moves
-with the object or slides under the greatest friction (projected Gauss-Seidel).
+The skin answers to forces at its points through a compliance matrix. At every step of the object's
+motion, the forces are relaxed point by point until no point lies inside the object, none is pulled,
+and each point of contact either moves with the object or slides under the greatest friction
+(projected Gauss-Seidel).
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def solved(
 ) -> list[F64]:
     """Move an object down and through its stops.
 
-    `rest_mm` (N, 3): the points that may touch it. `compliance` (3 N, 3 N): their motion under unit forces. Returns the
-    forces (N, 3) at each stop.
+    `rest_mm` (N, 3): the points that may touch it. `compliance` (3 N, 3 N): their motion under unit
+    forces. Returns the forces (N, 3) at each stop.
     """
     forces, moved = np.zeros_like(rest_mm), np.zeros_like(rest_mm)
     made = []

@@ -2,13 +2,15 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.strangers.explained --states STATES [--families third,layered,oblate]
+    .venv/bin/python -m tools.studies.strangers.explained --states STATES
+        [--families third,layered,oblate]
         [--range working] [--sensors 2]
 
-Nothing is fitted. The candidates are the shipped networks, whose heights are also made too low and too high by known
-factors. Each candidate has a mean error on Table I's objects, pressed and dragged, and leaves a share of twenty touches
-without labels unexplained (`tacshade_edge.fitting.explained`). Spearman's rank correlation between the two is given
-over all candidates, and over the networks as they are.
+Nothing is fitted. The candidates are the shipped networks, whose heights are also made too low and
+too high by known factors. Each candidate has a mean error on Table I's objects, pressed and
+dragged, and leaves a share of twenty touches without labels unexplained
+(`tacshade_edge.fitting.explained`). Spearman's rank correlation between the two is given over all
+candidates, and over the networks as they are.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6)
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A profile whose heights are multiplied by a factor: its mean error, and the share of touches that it leaves."""
+    """A profile whose heights are multiplied by a factor:
+    its mean error, and the share of touches that it leaves.
+    """
 
     profile: str
     factor: float

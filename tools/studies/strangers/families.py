@@ -15,4 +15,6 @@ FAMILIES: dict[str, Callable[[str, int, Path], Stranger]] = {
     "layered": layered,
     "oblate": oblate,
 }
-"""Makes a sensor of a range (``working`` or ``final``) with a number, from a folder of solved states."""
+"""Makes a sensor of a range (``working`` or ``final``) with a number,
+from a folder of solved states.
+"""

@@ -15,14 +15,17 @@ SQUARE = 9
 RINGS = 11
 """Half the number of quadrangles along a side of the square, and the number of rings."""
 SQUARE_DEG, GROWTH, ROUNDNESS = 27.0, 1.08, 0.6
-"""Half the side of the square, by how much each ring is wider than the one before, and how far the square's outline
-follows a circle (1: wholly)."""
+"""Half the side of the square, by how much each ring is wider than the one before, and how far the
+square's outline follows a circle (1: wholly).
+"""
 
 
 def directions(
     square: int = SQUARE, rings: int = RINGS, rim_deg: float = RIM_DEG
 ) -> tuple[F64, I64]:
-    """Make unit directions (N, 3), the last of which are at the rim, and quadrangles (M, 4) between them."""
+    """Make unit directions (N, 3), the last of which are at the rim, and quadrangles (M,
+    4) between them.
+    """
     flat, quads = _plane(square, rings, rim_deg)
     angle, around = np.radians(np.linalg.norm(flat, axis=1)), np.arctan2(flat[:, 1], flat[:, 0])
     out = np.sin(angle)

@@ -1,7 +1,8 @@
-"""Linear hexahedra of a dome's layers: their mesh, and the stiffness of nearly incompressible layers.
+"""Linear hexahedra of a dome's layers: their mesh,
+and the stiffness of nearly incompressible layers.
 
-Each hexahedron has eight corners, strains are small, and its change of volume is averaged (the B-bar method), so that
-rubber whose Poisson's ratio is close to one half does not lock.
+Each hexahedron has eight corners, strains are small, and its change of volume is averaged (the
+B-bar method), so that rubber whose Poisson's ratio is close to one half does not lock.
 """
 
 from __future__ import annotations
@@ -61,13 +62,24 @@ def meshed(
 
 
 _SIGNS = np.array(
-    ((-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1))
-)  # fmt: skip
+    (
+        (-1, -1, -1),
+        (1, -1, -1),
+        (1, 1, -1),
+        (-1, 1, -1),
+        (-1, -1, 1),
+        (1, -1, 1),
+        (1, 1, 1),
+        (-1, 1, 1),
+    )
+)
 _AT = _SIGNS / math.sqrt(3)
 
 
 def _gradients(points: F64) -> tuple[F64, F64]:
-    """Gradients (M, 8 places, 8 corners, 3) of the shape functions, and weights (M, 8 places) in mm³."""
+    """Gradients (M, 8 places, 8 corners, 3) of the shape functions, and weights (M,
+    8 places) in mm³.
+    """
     slopes = np.empty((8, 8, 3))
     for place, at in enumerate(_AT):
         each = 1 + _SIGNS * at
@@ -80,7 +92,10 @@ def _gradients(points: F64) -> tuple[F64, F64]:
 
 
 def stiffness(mesh: Mesh) -> sparse.csc_matrix:
-    """Assemble the stiffness (3 N, 3 N) of the whole mesh, without its supports. Raises ValueError (folded)."""
+    """Assemble the stiffness (3 N, 3 N) of the whole mesh, without its supports.
+
+    Raises ValueError (folded).
+    """
     gradients, weights = _gradients(mesh.points_mm[mesh.corners])
     if weights.min() <= 0:
         raise ValueError("a hexahedron is folded")

@@ -18,7 +18,9 @@ def reach(half_angle_deg: float) -> float:
 
 
 def hexagonal(pitch: float, far: float, turn_rad: float) -> tuple[F64, F64]:
-    """Corners and the middles of triangles of a hexagonal lattice, (N, 2) each, on a chart of a unit sphere."""
+    """Corners and the middles of triangles of a hexagonal lattice, (N, 2) each,
+    on a chart of a unit sphere.
+    """
     n = math.ceil(far / pitch / 0.86) + 1
     i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
     corner = np.stack(((i + 0.5 * j).ravel(), (j * math.sqrt(0.75)).ravel()), axis=1) * pitch

@@ -1,6 +1,8 @@
-"""The layered family: a rubber skin on a thick, nearly incompressible gel with a free rim, through a fisheye lens.
+"""The layered family: a rubber skin on a thick, nearly incompressible gel with a free rim,
+through a fisheye lens.
 
-Its prints are white pins on a jittered hexagonal lattice or on a spiral, or dark pins among white rings.
+Its prints are white pins on a jittered hexagonal lattice or on a spiral,
+or dark pins among white rings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Solve the layered family's skins, by linear finite elements and relaxation of the contact; needs numba."""
+"""Solve the layered family's skins, by linear finite elements and relaxation of the contact;
+needs numba.
+"""
 
 from __future__ import annotations
 

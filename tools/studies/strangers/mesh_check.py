@@ -1,4 +1,5 @@
-"""How far states depend on the mesh: one path of a family, solved on the usual mesh and on a finer one.
+"""How far states depend on the mesh: one path of a family,
+solved on the usual mesh and on a finer one.
 
 ::
 
@@ -42,7 +43,9 @@ SOLVERS: dict[str, Callable[[int], Solver]] = {"layered": _layered, "oblate": _o
 
 
 def apart_mm(usual: States, fine: States, press: Press, radius_mm: float, stop: int) -> F64:
-    """By how much the skin of a finer mesh lies elsewhere (N,), at its points that touch the object."""
+    """By how much the skin of a finer mesh lies elsewhere (N,),
+    at its points that touch the object.
+    """
     at = fine.stops_mm[stop]
     touching = press.distance_mm(radius_mm, at) <= TOUCHING_MM
     direction = fine.rest_mm / np.linalg.norm(fine.rest_mm, axis=1, keepdims=True)

@@ -43,7 +43,9 @@ class Pose:
 def moves(
     radius_mm: float, stops: Sequence[Press], lifted_mm: float, step_mm: float
 ) -> Iterator[list[tuple[Pose, F64]]]:
-    """The poses on the way to each stop, and the motion (3,) to each of them, from above the first stop."""
+    """The poses on the way to each stop, and the motion (3,) to each of them,
+    from above the first stop.
+    """
     at = _origin(stops[0], radius_mm) + np.array((0, 0, lifted_mm))
     for stop in stops:
         to = _origin(stop, radius_mm)

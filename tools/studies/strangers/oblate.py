@@ -1,7 +1,9 @@
-"""The oblate family: a thin shell, flatter at the tip than a sphere, on a gel that flows; its pins bend.
+"""The oblate family: a thin shell, flatter at the tip than a sphere, on a gel that flows;
+its pins bend.
 
-A tilted pinhole camera looks at it in the light of a few LEDs beside the lens, which fades across the skin and is
-mirrored by it. The prints are dark pins among white dots on concentric rings, and white pins on rings or a spiral.
+A tilted pinhole camera looks at it in the light of a few LEDs beside the lens, which fades across
+the skin and is mirrored by it. The prints are dark pins among white dots on concentric rings, and
+white pins on rings or a spiral.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What is pressed: paths of objects on a skin, each with stops at which the camera takes a picture."""
+"""What is pressed: paths of objects on a skin,
+each with stops at which the camera takes a picture.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,8 @@ PLATE_MM = 1.0
 
 @dataclass(frozen=True, slots=True)
 class PressPath:
-    """An object that comes down along -z through stops, whose depths grow, and is dragged to the last one if that is
-    dragged. `Press.depth_mm` is below the stated sphere.
+    """An object that comes down along -z through stops, whose depths grow, and is dragged to the
+    last one if that is dragged. `Press.depth_mm` is below the stated sphere.
     """
 
     object_name: str
@@ -42,7 +44,9 @@ class PressPath:
 
 @dataclass(frozen=True, slots=True)
 class Dome:
-    """What paths need of a skin: the radius that its user states, its surface, and the greatest depth on 20 mm."""
+    """What paths need of a skin: the radius that its user states, its surface,
+    and the greatest depth on 20 mm.
+    """
 
     radius_mm: float
     surface_z: SurfaceZ
@@ -106,7 +110,9 @@ def dragged(dome: Dome, press: Press, drag_mm: float, along: float) -> Press:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """The stored states of a path: points of the skin's outside (N, 3) untouched, and at each stop (S, N, 3), mm."""
+    """The stored states of a path: points of the skin's outside (N, 3) untouched,
+    and at each stop (S, N, 3), mm.
+    """
 
     rest_mm: F64
     stops_mm: F64

@@ -22,8 +22,9 @@ _HOUSING_GREY = 9.0
 class Pins:
     """Pins that point inwards: unit directions (P, 3) of their bases, and sizes (P,) in mm.
 
-    A pin's outline bends quadratically: its tip lags behind its base by the part `compliance` of the base's motion
-    along the skin. `flare` is the radius at nine tenths of the length over the tip's.
+    A pin's outline bends quadratically: its tip lags behind its base by the part `compliance` of
+    the base's motion along the skin. `flare` is the radius at nine tenths of the length over the
+    tip's.
     """
 
     direction: F64
@@ -49,7 +50,8 @@ class Markers:
 class Light:
     """LEDs at places in mm, or none: then light falls off towards the edge by the part `falloff`.
 
-    `gloss` is the level of a mirrored LED over that of white, `sharpness` the exponent of its fall-off.
+    `gloss` is the level of a mirrored LED over that of white,
+    `sharpness` the exponent of its fall-off.
     """
 
     level: float
@@ -61,7 +63,9 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Blur in px, noise of each channel in grey levels (read noise, and shot noise at 255), and each channel's gain."""
+    """Blur in px, noise of each channel in grey levels (read noise, and shot noise at 255),
+    and each channel's gain.
+    """
 
     blur_px: float
     read_noise_grey: float
@@ -192,7 +196,8 @@ def across(normal: F64) -> tuple[F64, F64]:
 
 
 def visible_part(camera: Camera, half_angle_deg: float, rest_mm: float) -> F32:
-    """The part (H, W) of each pixel inside the image of a circle of the untouched skin, where the housing begins.
+    """The part (H, W) of each pixel inside the image of a circle of the untouched skin,
+    where the housing begins.
 
     `rest_mm` is the distance of the circle from O.
     """

@@ -1,4 +1,6 @@
-"""What every family's sensor gives: pictures of its untouched and touched skin, and presses with their truth."""
+"""What every family's sensor gives: pictures of its untouched and touched skin,
+and presses with their truth.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ TOUCH_NOISE = 5000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A picture of an object, pressed or pressed and dragged; `truth` has the true heights too, in mm."""
+    """A picture of an object, pressed or pressed and dragged;
+    `truth` has the true heights too, in mm.
+    """
 
     object_name: str
     dragged: bool
@@ -42,7 +46,10 @@ class Stranger(Protocol):
         """Take pictures of objects that touch it, mixed. Raises FileNotFoundError (not solved)."""
 
     def balls(self, count: int = BALLS) -> Sequence[KnownPress]:
-        """Press balls, with errors in the stated places and depths. Raises FileNotFoundError (not solved)."""
+        """Press balls, with errors in the stated places and depths.
+
+        Raises FileNotFoundError (not solved).
+        """
 
     def judged(self) -> Iterator[Seen]:
         """Press and drag Table I's objects. Raises FileNotFoundError (not solved)."""

@@ -1,8 +1,10 @@
-"""A thin rubber shell on a gel that flows: an energy, minimised by Newton's method at every step of an object's motion.
+"""A thin rubber shell on a gel that flows: an energy,
+minimised by Newton's method at every step of an object's motion.
 
-The membrane is incompressible neo-Hookean rubber in plane stress, and bends. The gel holds each point by springs and
-keeps the volume below the skin. Contact is a stiff penalty, and Coulomb's friction a smooth potential of the slip in a
-step, with the pressure of the iteration before (as in incremental potential contact).
+The membrane is incompressible neo-Hookean rubber in plane stress, and bends. The gel holds each
+point by springs and keeps the volume below the skin. Contact is a stiff penalty, and Coulomb's
+friction a smooth potential of the slip in a step, with the pressure of the iteration before (as in
+incremental potential contact).
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from tools.studies.strangers.motion import Pose, clearance_mm, moves
 STEP_MM = 0.5
 NEWTON_STEPS, TOLERANCE_MM = 8, 3e-3
 HALVINGS, MOST_MM = 6, 0.6
-"""Line search: greatest number of halvings, and the greatest motion of a point in a step of Newton's."""
+"""Line search: greatest number of halvings, and the greatest motion of a point in a step
+of Newton's.
+"""
 CONTACT = 500.0
 """Stiffness of contact per area over that of the gel."""
 SLIP_MM = 0.015
@@ -111,7 +115,9 @@ class Shell:
         return float(np.sum(np.cross(a, b) * c) / 6), gradient.ravel()
 
     def _membrane(self, at: F64, stiffness: bool) -> tuple[float, F64, F64]:
-        """Energy, its gradient (3 N,), and a stiffness (M, 9, 9) of each triangle without negative eigenvalues."""
+        """Energy, its gradient (3 N,), and a stiffness (M, 9,
+        9) of each triangle without negative eigenvalues.
+        """
         f = np.einsum("mci,mcj->mij", at[self._triangles], self._slopes)
         right = np.einsum("mki,mkj->mij", f, f)
         square = np.linalg.det(right)
@@ -190,7 +196,9 @@ class Shell:
         return self._energy(at, touch), change.reshape(-1, 3)
 
     def _touch(self, at: F64, before: F64, pose: Pose, by: F64) -> Touch:
-        """Contact as it is now; normals and the pressure behind friction stay during a step of Newton's."""
+        """Contact as it is now; normals and the pressure behind friction stay during a step
+        of Newton's.
+        """
         stiff = CONTACT * self._material.gel_per_mm * self._areas
         gap = pose.distance_mm(at)
         inside = np.flatnonzero(gap < 0)

@@ -2,7 +2,8 @@
 
 ::
 
-    nice .venv/bin/python -m tools.studies.strangers.solve --family layered --states FOLDER [--range working]
+    nice .venv/bin/python -m tools.studies.strangers.solve --family layered --states FOLDER
+        [--range working]
         [--sensors 4]
 
 This needs numba (the extra `fit`). The third family has its own command (../third_family).

@@ -49,7 +49,10 @@ class Solved:
         ]
 
     def balls(self, count: int = BALLS) -> Sequence[KnownPress]:
-        """Press balls, with errors in the stated places and depths. Raises FileNotFoundError (not solved)."""
+        """Press balls, with errors in the stated places and depths.
+
+        Raises FileNotFoundError (not solved).
+        """
         rng, made = np.random.default_rng((self.seed, 45)), []
         for k, path in enumerate(paths(self.dome, "ball", self.seed, count)):
             surface, press = self._surface("ball", k, 0), path.stops[0]

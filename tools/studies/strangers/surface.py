@@ -20,7 +20,9 @@ RestMm = Callable[[F64], F64]
 """The distance (...,) from O of the untouched skin in unit directions (..., 3)."""
 
 TOUCHING_MM = 0.06
-"""Skin nearer to the object than this counts as touching: so far off it lies between touching points of the mesh."""
+"""Skin nearer to the object than this counts as touching:
+so far off it lies between touching points of the mesh.
+"""
 STEP_MM, BEYOND_DEG = 0.35, 7.0
 """Step of the grid on the skin, and how far it reaches beyond the visible part."""
 
@@ -45,7 +47,9 @@ class Surface:
         return self.points(direction) - direction * self._rest(direction)[..., None]
 
     def normals(self, direction: F64, apart: float = 0.02) -> F64:
-        """Outward unit normals (..., 3) of the skin around material points, over an angle in radians."""
+        """Outward unit normals (..., 3) of the skin around material points,
+        over an angle in radians.
+        """
         x, y = direction_to_chart(direction, 1.0)
         across = [
             self.points(chart_to_direction(x + apart * i, y + apart * j, 1.0))
@@ -58,7 +62,9 @@ class Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What pixels inside the visible circle see: maps (H, W, 3) of points in mm and of unit normals, NaN outside."""
+    """What pixels inside the visible circle see: maps (H, W,
+    3) of points in mm and of unit normals, NaN outside.
+    """
 
     points_mm: F32
     normals: F32
@@ -96,7 +102,8 @@ def truth(
     radius_mm: float,
     rest: RestMm,
 ) -> KnownTruth:
-    """Measure the heights of a skin, inwards from the untouched one, and where it touches an object.
+    """Measure the heights of a skin, inwards from the untouched one,
+    and where it touches an object.
 
     True points lie on the stated sphere less the height, as points of a result do.
     """

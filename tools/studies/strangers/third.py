@@ -26,7 +26,9 @@ from tools.studies.third_family.domes import (
 from tools.studies.third_family.judging import DRAGGED, dragged_ways, known_balls
 
 WAYS, PRESSES = 3, 12
-"""Numbers of solved paths, which are dragged and give two pictures each, and presses: touches take them in turn."""
+"""Numbers of solved paths, which are dragged and give two pictures each, and presses:
+touches take them in turn.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,10 @@ class Third:
         return [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(count)]
 
     def touches(self, count: int = TOUCHES) -> list[U8]:
-        """Take pictures of the first objects that touch it. Raises FileNotFoundError (not solved)."""
+        """Take pictures of the first objects that touch it.
+
+        Raises FileNotFoundError (not solved).
+        """
         states = []
         for k in range(WAYS):
             kept = self._kept("", k)

@@ -1,1 +1,3 @@
-"""The third family of sensors, whose skin MuJoCo solves and which only judges networks (README.md)."""
+"""The third family of sensors, whose skin MuJoCo solves and which only judges networks
+(README.md).
+"""

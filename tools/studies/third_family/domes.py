@@ -1,7 +1,7 @@
 """Soft domes, drawn from two disjoint ranges, the paths of objects on them, and their frames.
 
-A rubber skin lies on a gel, which is bonded to a stiff core, the window in front of the camera; the rim is clamped. An
-object comes down along -z, then is dragged and turned, so a path has two states.
+A rubber skin lies on a gel, which is bonded to a stiff core, the window in front of the camera; the
+rim is clamped. An object comes down along -z, then is dragged and turned, so a path has two states.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
         "friction": (0.8, 1.0),
     },
 }
-"""Ranges from which domes are drawn. Nobody evaluates a network on ``final`` before all work on networks is done."""
+"""Ranges from which domes are drawn.
+
+Nobody evaluates a network on ``final`` before all work on networks is done.
+"""
 
 FIRST_SEED = {"working": 31000, "final": 39100}
 """Seeds of the sensors' print, camera and light; no other family uses them."""
@@ -56,7 +59,8 @@ class Dome:
     radius_mm: float  # of the skin's outside, which touches and which the camera is assumed to see
     skin_mm: float  # thickness of the skin
     gel_part: float  # thickness of the gel below the skin, as a part of the radius
-    stiffness_ratio: float  # Young's modulus of the skin over that of the gel, which is 1: forces have no unit here
+    # Young's modulus of the skin over that of the gel, which is 1: forces have no unit here.
+    stiffness_ratio: float
     poisson: float  # of skin and gel
     friction: float  # Coulomb's coefficient
 
@@ -67,18 +71,25 @@ def drawn(range_name: str, number: int) -> tuple[SensorModel, Dome]:
     model = random_model(seed)
     rng = np.random.default_rng((seed, 41))
     values = {name: float(rng.uniform(*span)) for name, span in RANGES[range_name].items()}
-    # The skin itself contains the material's motion (`deformed`), so the renderer must not add friction.
+    # The skin itself contains the material's motion (`deformed`),
+    # so the renderer must not add friction.
     return replace(model, friction=0.0), Dome(radius_mm=model.skin_radius_mm, **values)
 
 
 Solid = tuple[str, tuple[float, ...], tuple[float, float, float], tuple[float, float, float]]
-"""A MuJoCo geom: kind, half sizes, middle and Euler angles, in mm and degrees in the object's frame."""
+"""A MuJoCo geom: kind, half sizes, middle and Euler angles,
+in mm and degrees in the object's frame.
+"""
 
 ROUNDING_MM = 0.2
-"""The skin's points carry balls of this radius, and solids are smaller by it, so edges are as round as printed ones."""
+"""The skin's points carry balls of this radius, and solids are smaller by it,
+so edges are as round as printed ones.
+"""
 
 DEEPEST_PART = 0.45
-"""Depths are at most this part of the thickness of skin and gel, and 4 mm; the material law allows no more."""
+"""Depths are at most this part of the thickness of skin and gel, and 4 mm;
+the material law allows no more.
+"""
 
 PLATE_MM = 25.0
 """Radius of the plate."""
@@ -113,19 +124,28 @@ class Way:
         """Return the press of the same object before drag and twist."""
         press = self.press
         x, y = press.x_mm - press.drag_x_mm, press.y_mm - press.drag_y_mm
-        # The twist about the object's own axis is undone about z, which is the same for an untilted object.
+        # The twist about the object's own axis is undone about z,
+        # which is the same for an untilted object.
         lowest = press.lowest_z_mm(skin_radius_mm)
         depth = math.sqrt(skin_radius_mm**2 - x * x - y * y) - lowest
         return replace(
-            press, x_mm=x, y_mm=y, depth_mm=depth, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0,
+            press,
+            x_mm=x,
+            y_mm=y,
+            depth_mm=depth,
+            drag_x_mm=0.0,
+            drag_y_mm=0.0,
+            twist_deg=0.0,
             rotation_deg=press.rotation_deg - press.twist_deg,
-        )  # fmt: skip
+        )
 
 
 def plate_depth_mm(
     pressed_mm: float, radius_mm: float, scale: float, tilt_x_deg: float, tilt_y_deg: float
 ) -> float:
-    """Compute `Press.depth_mm` (of the lowest edge) for a tilted plate over the tip, pressed along its normal."""
+    """Compute `Press.depth_mm` (of the lowest edge) for a tilted plate over the tip,
+    pressed along its normal.
+    """
     upright = math.cos(math.radians(tilt_x_deg)) * math.cos(math.radians(tilt_y_deg))
     middle_mm = (radius_mm - pressed_mm) / upright
     return radius_mm - middle_mm + PLATE_MM * scale * math.sqrt(1 - upright * upright)
@@ -139,7 +159,9 @@ def deepest_mm(dome: Dome) -> float:
 
 
 def ways(dome: Dome, seed: int, count: int) -> list[Way]:
-    """Draw paths with object, place, depth, drag and twist; plates and every third path are tilted but not twisted."""
+    """Draw paths with object, place, depth, drag and twist;
+    plates and every third path are tilted but not twisted.
+    """
     radius_mm = dome.radius_mm
     rng = np.random.default_rng((seed, 42))
     names, scale, made = list(SOLIDS), radius_mm / 20, []
@@ -159,12 +181,23 @@ def ways(dome: Dome, seed: int, count: int) -> list[Way]:
                 plate_depth_mm(0.6 * depth * scale, radius_mm, scale, *lean_deg) / scale,
             )
         made.append(
-            Way(name, Press(
-                OBJECTS[name](), rho * math.cos(angle), rho * math.sin(angle), depth * scale, turn, scale,
-                tilt * math.cos(lean) * tilted, tilt * math.sin(lean) * tilted,
-                drag * scale * math.cos(along), drag * scale * math.sin(along), 0.0 if tilted else twist,
-            ))
-        )  # fmt: skip
+            Way(
+                name,
+                Press(
+                    OBJECTS[name](),
+                    rho * math.cos(angle),
+                    rho * math.sin(angle),
+                    depth * scale,
+                    turn,
+                    scale,
+                    tilt * math.cos(lean) * tilted,
+                    tilt * math.sin(lean) * tilted,
+                    drag * scale * math.cos(along),
+                    drag * scale * math.sin(along),
+                    0.0 if tilted else twist,
+                ),
+            )
+        )
     return made
 
 
@@ -205,7 +238,8 @@ def known_ways(dome: Dome, seed: int, count: int) -> list[Way]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """The stored states of a path: the skin's points (N, 3) without an object, pressed, and dragged.
+    """The stored states of a path: the skin's points (N, 3) without an object, pressed,
+    and dragged.
 
     `penetration_mm` and `stirring_mm` (2,) are those of `solve.State`, pressed and dragged.
     """
@@ -235,7 +269,10 @@ def kept_file(folder: Path, range_name: str, sensor: int, what: str, number: int
 
 
 def known_presses(range_name: str, sensor: int, count: int, folder: Path) -> Sequence[KnownPress]:
-    """Draw the stored presses of a sensor, with errors in the stated places and depths. Raises FileNotFoundError."""
+    """Draw the stored presses of a sensor, with errors in the stated places and depths.
+
+    Raises FileNotFoundError.
+    """
     model, dome = drawn(range_name, sensor)
     seed = FIRST_SEED[range_name] + sensor
     draws, rng = renderer(model, seed), np.random.default_rng((seed, 45))
@@ -258,7 +295,9 @@ def known_presses(range_name: str, sensor: int, count: int, folder: Path) -> Seq
 
 
 TOUCHING_MM = 0.06
-"""Skin nearer to the object than this counts as touching, because it lies this far off between touching mesh points."""
+"""Skin nearer to the object than this counts as touching,
+because it lies this far off between touching mesh points.
+"""
 
 
 def deformed(radius_mm: float, rest_mm: F64, at_mm: F64) -> Skin:
@@ -278,14 +317,17 @@ def deformed(radius_mm: float, rest_mm: F64, at_mm: F64) -> Skin:
     return replace(
         flat,
         height_mm=smooth[..., 0],
-        # No part of this skin leans, but a map of zeros allows contact where the skin has moved outwards.
+        # No part of this skin leans, but a map of zeros allows contact where the skin has moved
+        # outwards.
         leaning_mm=np.zeros_like(flat.height_mm),
         origin_mm=smooth[..., 1:],
     )
 
 
 def seen_truth(skin: Skin, presses: Sequence[Press], model: SensorModel) -> Truth:
-    """Measure the truth; skin inside an object also counts as touching, because MuJoCo's contact yields a little."""
+    """Measure the truth; skin inside an object also counts as touching,
+    because MuJoCo's contact yields a little.
+    """
     truth = measure(skin, presses, model.geometry, (model.image_height_px, model.image_width_px))
     rows, cols = np.nonzero(np.isfinite(truth.height_mm))
     points = skin_points(skin, model.geometry, rows.astype(float), cols.astype(float))

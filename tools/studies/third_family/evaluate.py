@@ -1,12 +1,15 @@
-"""Judge the shipped networks on the third family, with a table of errors, shear, intervals and refused frames.
+"""Judge the shipped networks on the third family, with a table of errors, shear,
+intervals and refused frames.
 
 ::
 
-    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER [--presses 40]
+    .venv/bin/python -m tools.studies.third_family.evaluate --range working --states FOLDER
+        [--presses 40]
 
-FOLDER contains the solved mechanics (solve.py), so MuJoCo is not needed. Every sensor is calibrated on references and,
-with ``--presses``, on presses; `tools.studies.strangers` fits the networks to them. ``--out`` writes a row for each
-frame and profile to third-family.csv; ``--pictures`` writes PNG frames.
+FOLDER contains the solved mechanics (solve.py), so MuJoCo is not needed. Every sensor is calibrated
+on references and, with ``--presses``, on presses; `tools.studies.strangers` fits the networks to
+them. ``--out`` writes a row for each frame and profile to third-family.csv; ``--pictures`` writes
+PNG frames.
 """
 
 from __future__ import annotations
@@ -72,7 +75,9 @@ class Pictured:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One frame, judged with one profile; each attribute is a column of third-family.csv, empty for NaN."""
+    """One frame, judged with one profile; each attribute is a column of third-family.csv,
+    empty for NaN.
+    """
 
     profile: str
     sensor: str
@@ -123,9 +128,10 @@ def judged(each: Pictured, model: SensorModel, result: Reconstruction) -> Judged
     """Compare a reconstruction with the truth."""
     row = score(each.label, KnownTruth.of(each.truth), result)
     i, j = np.nonzero(result.height.contact)
-    at = (origin + result.height.step_px * k.astype(float) for origin, k in (
-        (result.height.row0, i), (result.height.col0, j)
-    ))  # fmt: skip
+    at = (
+        origin + result.height.step_px * k.astype(float)
+        for origin, k in ((result.height.row0, i), (result.height.col0, j))
+    )
     points = skin_points(each.skin, model.geometry, *at)
     found = result.height.height_mm[result.height.contact]
     off = np.abs(found - (each.skin.radius_mm - np.linalg.norm(points, axis=1)))

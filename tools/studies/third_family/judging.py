@@ -1,4 +1,6 @@
-"""What the third family shows as strangers (../strangers): Table I's objects, dragged, and presses of balls."""
+"""What the third family shows as strangers (../strangers):
+Table I's objects, dragged, and presses of balls.
+"""
 
 from __future__ import annotations
 

@@ -1,15 +1,18 @@
-"""The mechanics: solve the missing paths of a range's sensors, which is slow, and store a file for each.
+"""The mechanics: solve the missing paths of a range's sensors, which is slow,
+and store a file for each.
 
 ::
 
-    nice PYTHON -m tools.studies.third_family.solve --states FOLDER [--range working] [--sensors 6] [--ways 6]
+    nice PYTHON -m tools.studies.third_family.solve --states FOLDER [--range working] [--sensors 6]
+        [--ways 6]
         [--presses 40]
 
-PYTHON must have MuJoCo (requirements.txt). The object is a heavy body with a prescribed velocity. Every point of the
-skin's outside carries a small ball that can touch the object, so contact is between points and a rigid surface and
-follows Coulomb's law. A step of MuJoCo's `discrete` integrator is one Newton step of the static problem, with implicit
-elasticity and contact; steps are so long that inertia plays no role. Skin and gel are layers of tetrahedra over one
-triangulation of the sphere, fine at the tip and coarse at the rim.
+PYTHON must have MuJoCo (requirements.txt). The object is a heavy body with a prescribed velocity.
+Every point of the skin's outside carries a small ball that can touch the object, so contact is
+between points and a rigid surface and follows Coulomb's law. A step of MuJoCo's `discrete`
+integrator is one Newton step of the static problem, with implicit elasticity and contact; steps are
+so long that inertia plays no role. Skin and gel are layers of tetrahedra over one triangulation of
+the sphere, fine at the tip and coarse at the rim.
 """
 
 from __future__ import annotations
@@ -53,7 +56,9 @@ _DENSITY = (
 )
 _DAMPING = 3.0
 FINE_DEG = 26.0
-"""Up to this angle from the tip, the mesh has its shortest edges; beyond, they grow towards the rim."""
+"""Up to this angle from the tip, the mesh has its shortest edges;
+beyond, they grow towards the rim.
+"""
 
 COARSER = 3.0
 """Edges at the rim are longer by this multiple of the edges at the tip."""
@@ -87,7 +92,9 @@ def meshed(dome: Dome, edge_mm: float, gel_layers: int = 3) -> Mesh:
 
 
 def cap(radius_mm: float, edge_mm: float) -> tuple[F64, I64]:
-    """Make unit vectors (N, 3) in rings from the tip to the rim, and triangles (M, 3) between them."""
+    """Make unit vectors (N, 3) in rings from the tip to the rim, and triangles (M,
+    3) between them.
+    """
     rim = math.radians(RIM_HALF_ANGLE_DEG)
     fine = math.radians(FINE_DEG)
     points, angle, ring = [(0.0, 0.0, 1.0)], 0.0, 0
@@ -115,14 +122,21 @@ def volumes(points_mm: F64, corners: I64) -> F64:
 
 
 def _layer(triangles: I64, count: int, outer: int) -> I64:
-    """Cut the prisms between two layers into tetrahedra; sorted corners make the cuts of neighbours agree."""
+    """Cut the prisms between two layers into tetrahedra;
+    sorted corners make the cuts of neighbours agree.
+    """
     a, b, c = (np.sort(triangles, axis=1) + outer * count).T
     below = count
     return np.concatenate(
-        [np.stack(corners, axis=1) for corners in (
-            (a, b, c, c + below), (a, b, b + below, c + below), (a, a + below, b + below, c + below)
-        )]
-    )  # fmt: skip
+        [
+            np.stack(corners, axis=1)
+            for corners in (
+                (a, b, c, c + below),
+                (a, b, b + below, c + below),
+                (a, a + below, b + below, c + below),
+            )
+        ]
+    )
 
 
 def _righted(points: F64, corners: I64) -> I64:
@@ -136,8 +150,8 @@ def _righted(points: F64, corners: I64) -> I64:
 class State:
     """The skin's outside (N, 3) under an object.
 
-    `penetration_mm` is how deep its deepest point lies inside the object, `stirring_mm` the greatest motion in the last
-    step of rest.
+    `penetration_mm` is how deep its deepest point lies inside the object, `stirring_mm` the
+    greatest motion in the last step of rest.
     """
 
     at_mm: F64
@@ -168,10 +182,12 @@ def solved(dome: Dome, way: Way) -> Kept:
     )
     dragged = _moved(model, data, end, steps, mesh) if steps else pressed
     return Kept(
-        mesh.points_mm[: mesh.surface], pressed.at_mm, dragged.at_mm,
+        mesh.points_mm[: mesh.surface],
+        pressed.at_mm,
+        dragged.at_mm,
         np.array((pressed.penetration_mm, dragged.penetration_mm)),
         np.array((pressed.stirring_mm, dragged.stirring_mm)),
-    )  # fmt: skip
+    )
 
 
 def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh: Mesh) -> State:
@@ -182,7 +198,8 @@ def _moved(model: mujoco.MjModel, data: mujoco.MjData, to: F64, steps: int, mesh
         before = data.qpos.copy()
         mujoco.mj_step(model, data)
         data.qpos[:4] = goal
-    # MuJoCo softens and counts stiffnesses that compression makes singular; any other warning is an error.
+    # MuJoCo softens and counts stiffnesses that compression makes singular;
+    # any other warning is an error.
     softened = int(mujoco.mjtWarning.mjWARN_INERTIA)
     if any(warning.number for kind, warning in enumerate(data.warning) if kind != softened):
         raise RuntimeError(f"the engine warned at {data.qpos[:4]}")
@@ -216,8 +233,8 @@ def _xml(dome: Dome, mesh: Mesh, way: Way) -> str:
         np.add.at(weight, corners, (_DENSITY * volumes(mesh.points_mm, corners) / 4)[:, None])
     ball = ROUNDING_MM * way.press.scale
     touching = (
-        f'<geom type="sphere" size="{ball:.6g}" mass="0" contype="2" conaffinity="1" friction="{dome.friction} 0 0" '
-        'solref="-1e9 -1e7" solimp="0.9999 0.9999 0.001"/>'
+        f'<geom type="sphere" size="{ball:.6g}" mass="0" contype="2" conaffinity="1" '
+        f'friction="{dome.friction} 0 0" solref="-1e9 -1e7" solimp="0.9999 0.9999 0.001"/>'
     )
     sliding = "".join(
         f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
@@ -226,14 +243,21 @@ def _xml(dome: Dome, mesh: Mesh, way: Way) -> str:
     for k, (point, mass, clamped) in enumerate(
         zip(mesh.points_mm, weight, mesh.clamped, strict=True)
     ):
-        free = f'<inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{mass:.9g} {mass:.9g} {mass:.9g}"/>{sliding}'
+        free = (
+            f'<inertial pos="0 0 0" mass="{mass:.9g}" diaginertia="{mass:.9g} {mass:.9g} '
+            f'{mass:.9g}"/>{sliding}'
+        )
         inside = ("" if clamped else free) + (touching if k < mesh.surface else "")
         bodies.append(f'<body name="p{k}" pos="{_text(point)}">{inside}</body>')
     return (
-        '<mujoco><option timestep="1" gravity="0 0 0" integrator="discrete" solver="Newton" cone="elliptic" '
-        'impratio="10" iterations="100" tolerance="1e-10"><flag refsafe="disable"/></option><size memory="2G"/>'
-        f'<worldbody><body name="object"><inertial pos="0 0 0" mass="1e6" diaginertia="1e8 1e8 1e8"/>{sliding}'
-        f'<joint type="hinge" axis="0 0 1"/>{_solids(way)}</body>{"".join(bodies)}</worldbody><deformable>'
+        '<mujoco><option timestep="1" gravity="0 0 0" integrator="discrete" '
+        'solver="Newton" cone="elliptic" '
+        'impratio="10" iterations="100" tolerance="1e-10">'
+        '<flag refsafe="disable"/></option><size memory="2G"/>'
+        '<worldbody><body name="object">'
+        f'<inertial pos="0 0 0" mass="1e6" diaginertia="1e8 1e8 1e8"/>{sliding}'
+        f'<joint type="hinge" axis="0 0 1"/>{_solids(way)}</body>'
+        f"{''.join(bodies)}</worldbody><deformable>"
         f"{_flex('skin', mesh.skin, dome.stiffness_ratio, dome.poisson)}"
         f"{_flex('gel', mesh.gel, 1.0, dome.poisson)}</deformable></mujoco>"
     )
@@ -250,8 +274,8 @@ def _solids(way: Way) -> str:
         axes = own @ lying
         made.append(
             f'<geom type="{kind}" size="{_text(np.array(sizes) * press.scale)}" '
-            f'pos="{_text(own @ middle * press.scale)}" mass="0" contype="1" conaffinity="2" friction="1e-3 0 0" '
-            f'xyaxes="{_text(axes[:, 0])} {_text(axes[:, 1])}"/>'
+            f'pos="{_text(own @ middle * press.scale)}" mass="0" contype="1" conaffinity="2" '
+            f'friction="1e-3 0 0" xyaxes="{_text(axes[:, 0])} {_text(axes[:, 1])}"/>'
         )
     return "".join(made)
 

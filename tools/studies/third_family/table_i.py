@@ -56,7 +56,9 @@ TABLE_I_SOLIDS = SOLIDS | {name: slices(name) for name in ("small_crescent", "la
 
 
 def table_i_ways(dome: Dome) -> list[Way]:
-    """Press each object in the middle, 3 mm deep on a skin of 20 mm or as deep as the material law allows."""
+    """Press each object in the middle, 3 mm deep on a skin of 20 mm or as deep
+    as the material law allows.
+    """
     scale = dome.radius_mm / 20
     depth_mm = scale * min(DEPTH_MM, deepest_mm(dome))
     return [
