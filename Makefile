@@ -1,5 +1,6 @@
 # make demo    a simulated hand, live in a browser (Python only, never root)
 # make check   format, lint, types, layers and the tests without a mark: 40 s on two cores
+# make coverage   what part of each room the quick tests run; half as long again as make check
 # make docs    the site of docs/, built strictly into out/site
 # make deb     Debian packages for amd64 and arm64, of Debian 12 and 13, into dist/
 # make apt KEY=FINGERPRINT   a signed apt repository of the packages in dist/, into dist/apt, by reprepro
@@ -15,7 +16,7 @@ PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu' 'numba>=0.61,<1'
 
-.PHONY: demo lint check docs test test-arm test-container dist deb apt image lock faults format clean
+.PHONY: demo lint check coverage docs test test-arm test-container dist deb apt image lock faults format clean
 .DELETE_ON_ERROR:
 
 # Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
@@ -44,6 +45,9 @@ lint: .venv/dev.stamp
 
 check: .venv/dev.stamp
 	$(PY) -m tools.ci.run_tests lint quick
+
+coverage: .venv/dev.stamp
+	$(PY) -m tools.ci.measure_coverage
 
 docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build
