@@ -113,8 +113,12 @@ class App:
             settings.recorder.pre_roll_s,
         )
         self._references = References(
-            *(calibration, reference_file.path_beside(settings.calibration), settings.sensor_id),
-            *(self._use, self._publish_info, lambda: self._recorder.now() is not None),
+            calibration,
+            reference_file.path_beside(settings.calibration),
+            settings.sensor_id,
+            self._use,
+            self._publish_info,
+            lambda: self._recorder.now() is not None,
             running=lambda: self._active.reconstructor,
         )
         known = self._references.calibration

@@ -4,17 +4,15 @@ show where a touch begins.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from tacshade_edge.core.calibration.reference import references
-from tacshade_edge.core.calibration.reference.references import Distance, rezero
+from tacshade_edge.core.calibration.reference.references import Distance
 from tacshade_edge.core.contact.untouched import (
     Measured,
     RestLearner,
@@ -24,6 +22,7 @@ from tacshade_edge.core.contact.untouched import (
 )
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.daemon.observer import STITCHED_S, FrameObserver, FrameResult, Reply
+from tacshade_edge.daemon.reference_origin import Origin, requested, restored
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.protocol.results import ReferenceTaken
@@ -32,98 +31,23 @@ from tacshade_edge.storage.atomic_files import FolderLock
 from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.storage.calibration.calibration_file import with_crc
 from tacshade_edge.storage.calibration.objects_file import Known
-from tacshade_edge.storage.calibration.reference_file import (
-    LearntLimits,
-    Source,
-    StoredReference,
-    limited,
-)
+from tacshade_edge.storage.calibration.reference_file import LearntLimits, StoredReference, limited
 from tacshade_edge.types import U8, Calibration, Need
 
 _log = logging.getLogger(__name__)
 
 REFERENCE_FRAMES = 10
 REFERENCE_TIMEOUT_S = 5.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Origin:
-    """The reference that following starts from, of the calibration's file or of a request that outlives a restart."""
-
-    calibrated: Calibration  # the file's: requests are measured against it, so that they never lead away from it
-    calibration: Calibration  # with the limits
-    source: Source = "calibration"
-    wall_ns: int | None = None
-    reason: Reason | None = (
-        None  # why a stored one is not used, or why this one will not outlive a restart
-    )
-    limits: Mapping[str, LearntLimits] = field(default_factory=dict)  # by profile
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "origin": self.source,
-            "wall_ns": self.wall_ns,
-            "calibration_crc32": self.calibration.crc32,
-            **reason_fields(self.reason),
-        }
-
-
-def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None) -> Origin:
-    """The reference that was stored for a calibration, or the calibration's own; one stored for another is deleted."""
-    try:
-        stored = reference_file.load(path, calibrated)
-    except ConfigError as error:
-        _log.warning("%s; using the calibration's own reference", error)
-        if error.code is ReasonCode.CALIBRATION_CHANGED and unowned is None:
-            with contextlib.suppress(OSError):
-                path.unlink()
-        return Origin(calibrated, calibrated, reason=error.reason)
-    if stored is None:
-        return Origin(calibrated, calibrated, reason=unowned)
-    taken = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(stored.wall_ns / 1e9))
-    on_request = stored.source == "request"
-    if on_request:
-        _log.info("using the reference taken at %s and stored in %s", taken, path)
-    if stored.limits:
-        _log.info("using where touches begin as learnt and stored in %s", path)
-    wall_ns = stored.wall_ns if on_request else None
-    return Origin(
-        calibrated, stored.calibration, stored.source, wall_ns, unowned, limits=stored.limits
-    )
-
-
-def requested(
-    calibrated: Calibration,
-    images: Sequence[U8],
-    path: Path,
-    unowned: Reason | None = None,
-    limits: Mapping[str, LearntLimits] = MappingProxyType({}),
-) -> Origin:
-    """Take a new reference; store it if no other daemon owns the file. Raises ConfigError for unusable images."""
-    renewed = limited(rezero(calibrated, images), limits)
-    taken = StoredReference(renewed, time.time_ns(), limits=limits)
-    reason = unowned
-    if reason is None:
-        try:
-            reference_file.save(path, calibrated, taken)
-        except DeviceError as error:
-            reason = error.reason
-    if reason is not None:
-        reason = Reason(
-            reason.code, f"{reason}; this reference lasts only until the next start or reload"
-        )
-    _log.info("took a new reference from %d frames%s", len(images), f": {reason}" if reason else "")
-    return Origin(calibrated, renewed, "request", taken.wall_ns, reason, limits)
-
-
 NO_RECONSTRUCTOR = Reason(ReasonCode.STARTING, "starting")
 State = Literal["waiting", "following", "stopped", "held"]
 
 
 class References(FrameObserver):
-    """Where the reference began, and how far it has followed from there; handles ``req/reference``. `use` receives each
-    new one; `changed` is called when only its state is new; while a recording `held` it, it does not follow. What the
-    `running` reconstructor finds in untouched frames sets the limits of its profile.
+    """Where the reference began, and how far it has followed from there; handles ``req/reference``.
+
+    `use` receives each new one; `changed` is called when only its state is new; while a recording
+    `held` it, it does not follow. What the `running` reconstructor finds in untouched frames sets
+    the limits of its profile.
     """
 
     health_key = "reference"
@@ -199,7 +123,10 @@ class References(FrameObserver):
             return
         what = f"frame {seen.frame.seq}: found"
         if not result.valid:
-            text = f"{what} an invalid frame ({result.reason}), expected a valid frame of an untouched sensor"
+            text = (
+                f"{what} an invalid frame ({result.reason}), expected a valid frame of an "
+                "untouched sensor"
+            )
             self._collected = Reason(ReasonCode.FRAME_INVALID, text)
         elif result.contact or result.touched:
             depth = "of unknown depth" if result.touched else f"{result.depth_max_mm:.2f} mm deep"
@@ -214,7 +141,10 @@ class References(FrameObserver):
         if self._request is not None:
             (reply, deadline_s), images = self._request, self._collected
             if images is None and time.monotonic() >= deadline_s:
-                text = f"received fewer than {REFERENCE_FRAMES} frames within {REFERENCE_TIMEOUT_S:.0f} s"
+                text = (
+                    f"received fewer than {REFERENCE_FRAMES} frames within "
+                    f"{REFERENCE_TIMEOUT_S:.0f} s"
+                )
                 images = Reason(ReasonCode.TIMEOUT, text)
             if images is not None:
                 self._request = self._images = None
@@ -244,9 +174,8 @@ class References(FrameObserver):
                 self._path.parent, f"sensor {self._sensor_id}", file=self._path.name
             )
         except DeviceError as error:
-            if (
-                error.code is ReasonCode.IN_USE
-            ):  # a folder that cannot be written is reported when something is stored
+            # A folder that cannot be written is reported when something is stored.
+            if error.code is ReasonCode.IN_USE:
                 _log.warning("%s; this daemon does not store new references", error)
                 self._unowned = error.reason
 
@@ -276,7 +205,9 @@ class References(FrameObserver):
         return None if isinstance(found, Reason) else (running.profile.name, found)
 
     def follow(self, frames: Untouched | Reason) -> None:
-        """Follow frames of the sensor at rest, unless there was a doubt about one of them, or a recording goes on."""
+        """Follow frames of the sensor at rest, unless there was a doubt about one of them,
+        or a recording goes on.
+        """
         if isinstance(self._origin, Reason) or isinstance(self.calibration, Reason):
             return
         if self._held():
@@ -292,7 +223,8 @@ class References(FrameObserver):
         self._change_state("stopped" if followed.reason else "following", followed.reason)
         if followed.reason is None and frames.evidence:
             self._batch = replace(frames, images=[])
-        # A new reference during a contact would be a step in its heights; the next frames at rest yield it again.
+        # A new reference during a contact would be a step in its heights;
+        # the next frames at rest yield it again.
         if followed.calibration is not None and self.frames.at_rest:
             self.calibration = with_crc(followed.calibration)
             self._renewals += 1
@@ -317,7 +249,10 @@ class References(FrameObserver):
             return
         limits = {**origin.limits, profile: LearntLimits(made, first or made)}
         before = f" ({present.height_mm:.2g} mm before)" if present else ""
-        text = "%s now reports a touch from %.2g mm of its own heights on%s, as %d untouched frames show"
+        text = (
+            "%s now reports a touch from %.2g mm of its own heights on%s, "
+            "as %d untouched frames show"
+        )
         _log.info(text, profile, made.height_mm, before, made.frames)
         self._origin = replace(
             origin, calibration=limited(origin.calibration, limits), limits=limits
@@ -369,7 +304,9 @@ class References(FrameObserver):
         self._state, self._reason, self._distance = "waiting", None, None
 
     def _change_state(self, state: State, reason: Reason | None) -> None:
-        """Set the state, and publish and log it if it changed; new figures in the same reason are no change."""
+        """Set the state, and publish and log it if it changed;
+        new figures in the same reason are no change.
+        """
         changed = (state, code_of(reason)) != (self._state, code_of(self._reason))
         self._state, self._reason = state, reason
         if changed:

@@ -16,7 +16,8 @@ from tacshade_edge.core.calibration.reference.references import bounds
 from tacshade_edge.core.contact.untouched import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES
 from tacshade_edge.daemon import references
 from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.references import REFERENCE_FRAMES, References, requested, restored
+from tacshade_edge.daemon.reference_origin import requested, restored
+from tacshade_edge.daemon.references import REFERENCE_FRAMES, References
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.storage.calibration.calibration_file import with_crc
@@ -102,7 +103,8 @@ def test_another_calibration_makes_it_void_and_says_so_once(
     assert restored(newer, path).reason is None
     (warning,) = caplog.records
     assert warning.getMessage().endswith(
-        "belongs to another calibration; take a new reference; using the calibration's own reference"
+        "belongs to another calibration; take a new reference; "
+        "using the calibration's own reference"
     )
     assert not path.exists()
 
@@ -158,7 +160,9 @@ def test_it_follows_from_where_it_began_and_reports_how_far(
     assert (resting.health["state"], resting.health["reason"]) == ("following", "")
     texts = [record.getMessage() for record in caplog.records]
     assert [text.partition(":")[0] for text in texts] == [
-        *("reference following", "reference stopped", "reference following")
+        "reference following",
+        "reference stopped",
+        "reference following",
     ]
     assert "0.70 times the light" in texts[1]
     assert set(resting.health) >= set(info["bounds"]) - {"light_low", "light_high"}

@@ -42,7 +42,11 @@ class Learning(Resting):
         self.references.stop()
         self.running = Finding()
         self.references = References(
-            *(calibration, path, "left", lambda _: self._changed(), self._changed),
+            calibration,
+            path,
+            "left",
+            lambda _: self._changed(),
+            self._changed,
             held=lambda: self.held,
             running=lambda: cast(Reconstructor, self.running),
         )

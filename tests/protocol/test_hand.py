@@ -51,16 +51,14 @@ def touching(make_result: Callable[..., Reconstruction]) -> Reconstruction:
     points = np.array(((0, 0, 0), (4, 2, 1), (1, 1, 1)), np.float32)
     objects = (
         TouchedObject(
-            *(
-                1,
-                (1.25, -2.5, 20.0),
-                (9.0, 9.0, 9.0),
-                1.75,
-                8.5,
-                (0.6, 0.0, 0.8),
-                (0.5, 0.25),
-                -3.5,
-            ),
+            1,
+            (1.25, -2.5, 20.0),
+            (9.0, 9.0, 9.0),
+            1.75,
+            8.5,
+            (0.6, 0.0, 0.8),
+            (0.5, 0.25),
+            -3.5,
             id=3,
             slip=Slip.PARTIAL,
             slip_mm_s=0.75,

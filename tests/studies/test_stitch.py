@@ -174,24 +174,18 @@ def test_a_file_of_the_contracts_keys_is_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        *(
-            {"z_mm": np.zeros(3)},
-            {"step_mm": 0.0},
-            {"z_mm": np.full((2, 2), np.nan)},
-            {"z_mm": None},
-        ),
-        *(
-            {"step_mm": np.inf},
-            {"step_mm": 1e-300},
-            {"x0_mm": np.nan},
-            {"x0_mm": np.zeros(2)},
-            {"z_mm": np.array("a")},
-        ),
-        *(
-            {"z_mm": np.array([[None]])},
-            {"z_mm": np.full((2, 2), 1e7)},
-            {"z_mm": np.full((2, 2), 2**64 - 1, np.uint64)},
-        ),
+        {"z_mm": np.zeros(3)},
+        {"step_mm": 0.0},
+        {"z_mm": np.full((2, 2), np.nan)},
+        {"z_mm": None},
+        {"step_mm": np.inf},
+        {"step_mm": 1e-300},
+        {"x0_mm": np.nan},
+        {"x0_mm": np.zeros(2)},
+        {"z_mm": np.array("a")},
+        {"z_mm": np.array([[None]])},
+        {"z_mm": np.full((2, 2), 1e7)},
+        {"z_mm": np.full((2, 2), 2**64 - 1, np.uint64)},
         {"z_mm": np.zeros((2048, 2049), bool)},
     ],
 )

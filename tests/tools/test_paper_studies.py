@@ -141,6 +141,11 @@ def test_a_line_for_every_map() -> None:
     score = Score(0.2, 0.0, 0.4, 0, 5000.0, 0.99, 0.3, 0.0)
     lines = paper_pad.text([paper_pad.Fused("accurate", "exact", "mean", score)]).splitlines()
     assert [cell.strip() for cell in lines[-1].strip("|").split("|")] == [
-        *("accurate", "exact", "mean"),
-        *("0.200", "0.400", "0.300", "99.0"),
+        "accurate",
+        "exact",
+        "mean",
+        "0.200",
+        "0.400",
+        "0.300",
+        "99.0",
     ]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The touch model on a robot's labelled frames: errors by number of labels, compared with published networks.
+"""The touch model on a robot's labelled frames: errors by number of labels, beside networks'.
 
 ::
 
@@ -8,9 +8,10 @@
     .venv/bin/python -m tools.studies.touch plates out/real/tactile_data_shear
     .venv/bin/python -m tools.studies.touch force out/real/tactile-manibot --out FOLDER
 
-`plates` is `cr_tactip` of the first set, which has no licence, `force` one sensor of the second (GPL), with measured
-forces: both stay outside the tree. It learns from one run of the robot and judges another, of which every frame
-counts: if the model has no answer, the labels' mean is the guess. `--out` draws the first frames of 400 labels.
+`plates` is `cr_tactip` of the first set, which has no licence, `force` one sensor of the second
+(GPL), with measured forces: both stay outside the tree. It learns from one run of the robot and
+judges another, of which every frame counts: if the model has no answer, the labels' mean is the
+guess. `--out` draws the first frames of 400 labels.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ _DRAG = {"shear_x": "shear_x_mm", "shear_y": "shear_y_mm", "shear_Rz": "twist_de
 
 @dataclass(frozen=True, slots=True)
 class RobotSet:
-    """Two runs of a robot: table, folder of pictures, labels by column, what is shown of them, and published errors."""
+    """Two runs of a robot: table, folder of pictures, labels by column, what is shown of them,
+    and published errors.
+    """
 
     folder: str
     runs: tuple[str, str]
@@ -92,8 +95,8 @@ DRAWN_LABELS, DRAWN_FRAMES = 400, 80
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """All frames of both runs: features, imprints and changed part of the usable ones, labels, and which are of the
-    second run. A model without a lower one has the gate `gate_part`.
+    """All frames of both runs: features, imprints and changed part of the usable ones, labels, and
+    which are of the second run. A model without a lower one has the gate `gate_part`.
     """
 
     features: F32
@@ -157,8 +160,8 @@ def seen(robot: RobotSet, clone: Path, profile: str) -> Frames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """Mean absolute errors, what 90 % intervals hold, part without an answer, and CPU seconds of learning; the judged
-    frames' labels, answers and half intervals, NaN without an answer.
+    """Mean absolute errors, what 90 % intervals hold, part without an answer, and CPU seconds of
+    learning; the judged frames' labels, answers and half intervals, NaN without an answer.
     """
 
     errors: F64
@@ -207,7 +210,9 @@ def scored(frames: Frames, names: Sequence[str], count: int, seed: int) -> Score
 
 
 def draw(score: Score, names: Sequence[str], file: Path) -> None:
-    """Draw what was measured, and answered with its 90 % intervals, of the first judged frames in their order."""
+    """Draw what was measured, and answered with its 90 % intervals,
+    of the first judged frames in their order.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -266,7 +271,9 @@ def report(
     print(markdown(columns, lines))
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     print(
-        f"\nMean absolute errors. Peak memory of this study, all frames' features at once: {most} MB."
+        "\n"
+        f"Mean absolute errors. Peak memory of this study, all frames' features at once: {most} "
+        "MB."
     )
 
 

@@ -14,7 +14,9 @@ from tacshade_edge.core.contact.gate import SURE_PART
 from tacshade_edge.types import F64, U8, RestLimits, frozen
 
 TAIL = 50
-"""Most values that the tail's decay is taken from; of few values, it is taken from the upper half."""
+"""Most values that the tail's decay is taken from;
+of few values, it is taken from the upper half.
+"""
 LEAST_FRAMES = 8
 """Of fewer frames, the limit for a rate of 1 in 10,000 is a hundred times their spread."""
 FALSE_CONTACTS = 1e-4

@@ -73,7 +73,11 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
     taken = reference.calibration
     arrays = taken.reference_white, taken.reference_grey
     file = _File(
-        *(VERSION, belongs_to(calibrated), reference.wall_ns, taken.noise_grey, *arrays),
+        VERSION,
+        belongs_to(calibrated),
+        reference.wall_ns,
+        taken.noise_grey,
+        *arrays,
         source=reference.source,
         limits_of=calibrated.crc32 if reference.limits else 0,
     )
@@ -88,8 +92,8 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     """Read the stored reference of a calibration, given as in its file; None if there is none.
 
-    Raises ConfigError if it is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of another
-    calibration. Limits of one that differs in anything, such as its networks, are left out.
+    Raises ConfigError if it is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of
+    another calibration. Limits of one that differs in anything, such as its networks, are left out.
     """
     if not os.path.lexists(path):
         return None

@@ -2,12 +2,13 @@
 
 ::
 
-    .venv/bin/python -m tools.studies.strangers.evaluate --states STATES [--families third,layered,oblate]
-        [--range working] [--sensors 4] [--ways none,touches,balls] [--folder FOLDER]
+    .venv/bin/python -m tools.studies.strangers.evaluate --states STATES
+        [--families third,layered,oblate] [--range working] [--sensors 4]
+        [--ways none,touches,balls] [--folder FOLDER]
 
-STATES has a folder of solved states for each family. A case is a sensor and what a fit knows of it (`WAYS`); each is
-measured in its own process, one after another. With a folder, the study keeps each case's results there, and does not
-measure the case again until the program changes.
+STATES has a folder of solved states for each family. A case is a sensor and what a fit knows of it
+(`WAYS`); each is measured in its own process, one after another. With a folder, the study keeps
+each case's results there, and does not measure the case again until the program changes.
 """
 
 from __future__ import annotations
@@ -169,7 +170,9 @@ def lines(family: str, ways: Sequence[str], results: Results) -> list[list[str]]
 
 
 def _figures(results: Results, way: str, profile: str, dragged: bool) -> list[str]:
-    """ME, its ratio to that as shipped in the mean and on the worst sensor, missed frames, and held intervals."""
+    """ME, its ratio to that as shipped in the mean and on the worst sensor, missed frames,
+    and held intervals.
+    """
 
     def of(case_way: str) -> dict[int, list[Judged]]:
         return {
