@@ -161,11 +161,16 @@ PAGES = {
     ),
     "strangers": Page(
         {
-            "": f"{STRANGERS} --families third --range final --sensors 2 --ways none,touches",
-            "A layered skin": (
-                f"{STRANGERS} --families layered --range final --sensors 2 --ways none"
+            "": (
+                f"{STRANGERS} --families third --range final --first 2 --sensors 2"
+                " --ways none,touches"
             ),
-            "An oblate skin": f"{STRANGERS} --families oblate --sensors 4 --ways=",
+            "A layered skin": (
+                f"{STRANGERS} --families layered --range final --sensors 2 --ways touches"
+            ),
+            "An oblate skin": (
+                f"{STRANGERS} --families oblate --range final --sensors 1 --ways touches"
+            ),
             "Do touches rank maps?": (
                 "tools.studies.strangers.explained --states out/strangers --sensors 1"
             ),

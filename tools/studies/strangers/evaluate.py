@@ -4,7 +4,7 @@
 
     .venv/bin/python -m tools.studies.strangers.evaluate --states STATES
         [--families third,layered,oblate] [--range working] [--sensors 4]
-        [--ways none,touches,balls] [--folder FOLDER]
+        [--first 0] [--ways none,touches,balls] [--folder FOLDER]
 
 STATES has a folder of solved states for each family. A case is a sensor and what a fit knows of it
 (`WAYS`); each is measured in its own process, one after another. With a folder, the study keeps
@@ -213,6 +213,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--families", default=",".join(FAMILIES))
     parser.add_argument("--range", choices=("working", "final"), default="working")
     parser.add_argument("--sensors", type=int, default=4)
+    parser.add_argument(
+        "--first", type=int, default=0, help="number of the first sensor, which nobody opened"
+    )
     parser.add_argument("--ways", default=",".join(WAYS), help="of a fit; empty: none is fitted")
     parser.add_argument("--folder", type=Path, help="keeps what was measured, a file for each case")
     options = parser.parse_args(arguments)
@@ -225,7 +228,7 @@ def main(arguments: list[str] | None = None) -> int:
         Case(family, options.range, number, way)
         for way in (SHIPPED, *ways)
         for family in families
-        for number in range(options.sensors)
+        for number in range(options.first, options.first + options.sensors)
     ]
     results = {}
     try:
