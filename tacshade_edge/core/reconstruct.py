@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
 
 from tacshade_edge.core.contact.detection import TouchDetector
-from tacshade_edge.core.contact.gate import (
-    SURE_PART,
-    ContactGate,
-    UnchangedSkin,
-    gate_preprocessor,
-)
+from tacshade_edge.core.contact.gate import SURE_PART, UnchangedSkin
 from tacshade_edge.core.contact.motion import WhiteChange
 from tacshade_edge.core.contact.objects import Objects, contact_of, find_objects
 from tacshade_edge.core.contact.rest import Evidence
@@ -25,16 +19,9 @@ from tacshade_edge.core.depth import SOLVERS, Depth, Network
 from tacshade_edge.core.depth.base import Mark
 from tacshade_edge.core.depth.learned import LearnedSolver
 from tacshade_edge.core.depth.sigma import sigma_of_scale_1, terms
-from tacshade_edge.core.frame_check import (
-    Judges,
-    Measured,
-    first_reason,
-    picture,
-    size_reason,
-    skin,
-)
+from tacshade_edge.core.frame_check import Measured, first_reason, skin
 from tacshade_edge.core.geometry.disc_map import rays_in_image
-from tacshade_edge.core.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.core.look import Eye, Look
 from tacshade_edge.core.profiles import NETWORK, Profile
 from tacshade_edge.core.touch.answer import imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -70,18 +57,34 @@ Namer = Callable[[Reconstruction], tuple[TouchedObject, ...]]
 """Gives the objects of a frame in contact the names that were taught."""
 
 
+FeatureObserver = Callable[[F32], None]
+"""Receives the features of each touch, for learning a touch model."""
+
+
 def no_mark(stage: str) -> None:
     """Ignore a stage's end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mapped:
+    """What the solver makes of a look; no objects without a contact, no features unless asked."""
+
+    depth: Depth
+    height_mm: F32
+    shear_mm: F32 | None
+    objects: Objects | None
+    degraded: Reason | None
+    features: list[F32] | None
 
 
 class Reconstructor:
     """Reconstructs frames of one calibrated sensor, deterministically: each is independent, except
     that one with the untouched skin of an earlier frame gets that frame's result, and that what may
-    be a contact's dent is no touch for a few seconds. `touch` is the profile's model, or the reason
-    why it cannot be used; a list collects the features of each requested touch for learning. A
-    model may see less change than the gate requires of a contact. `grid` and `rays` are those of
-    every height map, `changed_part` is the part of the picture that changed in the latest frame;
-    `namer` names the objects, if any were taught.
+    be a contact's dent is no touch for a few seconds. `touch` is the profile's model, the reason
+    why it cannot be used, or what observes the features of each requested touch. A model may see
+    less change than the gate requires of a contact. `grid` and `rays` are those of every height
+    map, `changed_part` is the part of the picture that changed in the latest frame; `namer` names
+    the objects, if any were taught.
     """
 
     def __init__(
@@ -89,69 +92,60 @@ class Reconstructor:
         calibration: Calibration,
         profile: Profile,
         network: Network | None = None,
-        touch: TouchModel | Reason | list[F32] | None = None,
+        touch: TouchModel | Reason | FeatureObserver | None = None,
     ) -> None:
         self.calibration = calibration
         self.profile = profile
-        self._shape = (calibration.image_height_px, calibration.image_width_px)
-        self._preprocessor = Preprocessor(calibration, profile)
-        # The judges and the gate see the same pictures in every profile.
-        self._seen = seen = gate_preprocessor(calibration, self._preprocessor)
-        disc, grey = seen.calibration.geometry.disc, seen.calibration.reference_grey
-        self._judges = Judges(
-            grey, disc, None if network else seen.calibration.pitch_px, seen.camera_px
+        self.namer: Namer | None = None
+        self.changed_part = 0.0
+        self._eye = eye = Eye(calibration, profile, with_network=network is not None)
+        reference = eye.seen.calibration.reference_grey
+        self._unchanged = UnchangedSkin(
+            reference.shape, eye.seen.calibration.geometry.disc, halved=eye.seen.camera_px == 2
         )
-        self._unchanged = UnchangedSkin(grey.shape, disc, halved=seen.camera_px == 2)
-        self._gate = ContactGate(seen)
         # Two means find an upper cluster in any map,
         # so the gate decides whether there is a contact.
         judges_contact = network is not None and profile.outline == NETWORK
-        self.gate_part = self._gate.least_part if judges_contact else self._gate.plain_part
-        self._solver = SOLVERS[profile.solver](self._preprocessor, network)
+        self.gate_part = eye.gate.least_part if judges_contact else eye.gate.plain_part
         self._touch = touch
-        self._touch_part = (
-            touch.gate_part
-            if isinstance(touch, TouchModel)
-            else 0.0
-            if isinstance(touch, list)
-            else 1.0
-        )
-        self.namer: Namer | None = None
-        self.changed_part = 0.0
+        self._learns = callable(touch)
+        self._needs_features = isinstance(touch, TouchModel) or self._learns
+        self._touch_part = 0.0 if self._learns else 1.0
+        if isinstance(touch, TouchModel):
+            self._touch_part = touch.gate_part
+        self._solver = SOLVERS[profile.solver](eye.own, network)
         self.grid = self._solver.grid
         self.rays = rays_in_image(self.grid, calibration)
-        self._zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan)).astype(
-            np.float32
-        )
-        self._zero_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2)
         self._detector: TouchDetector | None = None
         if isinstance(self._solver, LearnedSolver):
             limits = calibration.rest.get(profile.name)
             change = WhiteChange(self._solver.fine_reference, self._solver.fine_inside)
             self._detector = TouchDetector(change, self.rays.inside, limits)
         self._sigma = None if network is None else network.sigma
-        self._nothing = Reconstruction(
+        zero_mm = np.where(self.rays.inside, np.float32(0), np.float32(np.nan))
+        self._zero_mm = zero_mm.astype(np.float32)
+        self._zero_shear_mm = np.repeat(self._zero_mm[..., None], 2, axis=2)
+        self._nothing = self._without_touch(has_shear=network is not None)
+
+    def _without_touch(self, *, has_shear: bool) -> Reconstruction:
+        """The result of the untouched skin."""
+        zero_mm = self._zero_mm
+        no_sigma_mm = np.full(zero_mm.shape, np.nan, np.float32)
+        no_points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
+        return Reconstruction(
             seq=0,
             t_ns=0,
             wall_ns=0,
-            profile=profile.name,
+            profile=self.profile.name,
             valid=True,
             reason=None,
             contact=False,
             saturated=False,
             degraded=None,
-            height=self._map(self._zero_mm, np.zeros(self._zero_mm.shape, dtype=bool)),
-            cloud=ObjectCloud(np.zeros((0, 3), dtype=np.float32), np.zeros(0, dtype=np.uint16)),
-            shear_mm=self._zero_shear_mm if network is not None else None,
-            sigma_mm=None
-            if self._sigma is None
-            else np.full(self._zero_mm.shape, np.nan, np.float32),
-        )
-        self._grey_space: U8 = np.empty(self._shape, np.uint8)
-        self._white_space = seen.integrator.space()
-        shared = seen is self._preprocessor
-        self._own_white_space = (
-            self._white_space if shared else self._preprocessor.integrator.space()
+            height=self._map(zero_mm, np.zeros(zero_mm.shape, dtype=bool)),
+            cloud=no_points,
+            shear_mm=self._zero_shear_mm if has_shear else None,
+            sigma_mm=None if self._sigma is None else no_sigma_mm,
         )
 
     @overload
@@ -163,117 +157,149 @@ class Reconstructor:
     def step(
         self, frame: Frame, mark: Mark = no_mark, need: Need = Need.ALL
     ) -> Reconstruction | None:
-        """Reconstruct one frame; `mark` is called with a stage's name (`STAGES`) at its end.
+        """Reconstruct one frame. `mark` is called with a stage's name (`STAGES`) at its end.
 
         With the need ``CONTACT``, a frame in contact returns None; without ``SHEAR``, ``SIGMA`` or
         ``TOUCH``, it has no such value.
         """
-        grey = self._seen.grey(frame.image, self._grey_space)
-        reason = size_reason(frame.image, self._shape)
-        unchanged = reason is None and self._unchanged.shown_in(grey)
-        reason = reason or (None if unchanged else first_reason(self._judges.measured(grey)))
-        mark("check")
-        if reason or unchanged:
-            return self._empty(
-                frame, reason=reason, degraded=self._unchanged.degraded if unchanged else None
-            )
-
-        preprocessed = self._seen.preprocess(grey, self._white_space)
-        drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
-        reason = first_reason(picture.white_measured(preprocessed.unseen, drift_grey))
-        degraded = picture.degraded_reason(preprocessed.unseen, drift_grey)
-        mark("grey")
-        if reason:
-            return self._empty(frame, reason=reason)
-
-        self.changed_part = changed_part = self._gate.changed_part(preprocessed)
-        mark("gate")
-        # `quiet`: no request would find more in this frame.
-        quiet = not isinstance(self._touch, TouchModel | list) or changed_part < self._touch_part
-        if changed_part < (
-            min(self._touch_part, self.gate_part) if Need.TOUCH in need else self.gate_part
-        ):
-            if quiet:
-                self._unchanged.keep(grey, degraded)
-            return self._empty(frame, degraded=degraded)
-
-        if need == Need.CONTACT and changed_part >= SURE_PART:
+        look = Look(self._eye, frame.image)
+        answer = self._judged(frame, look, mark) or self._gated(frame, look, need, mark)
+        if answer is not None:
+            return answer
+        if need == Need.CONTACT and look.changed_part >= SURE_PART:
             if self._detector is not None:
                 self._detector.contact(frame.t_ns, math.inf)  # nobody asks how deep
             return None
+        made = self._mapped(look, need, mark)
+        if isinstance(made, Reason):
+            return self._empty(frame, reason=made)
+        found = self._beside_map(frame, look, made)
+        mark("cloud")
+        if made.objects is None or found:
+            return self._without_contact(frame, look, made, found, mark)
+        if need == Need.CONTACT:
+            return None
+        return self._in_contact(frame, made, need, mark)
 
-        features: list[F32] | None = (
-            [] if Need.TOUCH in need and isinstance(self._touch, TouchModel | list) else None
-        )
-        if self._preprocessor is not self._seen:
-            own = self._preprocessor.grey(frame.image, self._grey_space)
-            preprocessed = self._preprocessor.preprocess(own, self._own_white_space)
-        depth = self._solver.solve(preprocessed, mark, features)
-        reason = first_reason(skin.map_measured(depth.untrusted_logit, self.rays.inside))
-        degraded = degraded or skin.degraded_reason(depth.untrusted, self.rays.inside)
+    def _judged(self, frame: Frame, look: Look, mark: Mark) -> Reconstruction | None:
+        """The answer to a frame that a judge refuses, or that shows the same untouched skin as an
+        earlier one; None for any other.
+        """
+        reason = look.size_reason
+        unchanged = reason is None and self._unchanged.shown_in(look.grey)
+        if reason is None and not unchanged:
+            reason = first_reason(look.judged)
+        mark("check")
+        if unchanged:
+            return self._empty(frame, degraded=self._unchanged.degraded)
+        if reason is None:
+            reason = first_reason(look.white_judged)
+            mark("grey")
+        return None if reason is None else self._empty(frame, reason=reason)
+
+    def _gated(self, frame: Frame, look: Look, need: Need, mark: Mark) -> Reconstruction | None:
+        """The answer to a frame whose picture changed too little for anything to touch."""
+        self.changed_part = look.changed_part
+        mark("gate")
+        least = self.gate_part
+        if Need.TOUCH in need:
+            least = min(least, self._touch_part)
+        if look.changed_part >= least:
+            return None
+        if self._is_quiet(look):
+            self._unchanged.keep(look.grey, look.degraded)
+        return self._empty(frame, degraded=look.degraded)
+
+    def _is_quiet(self, look: Look) -> bool:
+        """Whether no request would find more in the frame."""
+        return not self._needs_features or look.changed_part < self._touch_part
+
+    def _mapped(self, look: Look, need: Need, mark: Mark) -> _Mapped | Reason:
+        """Solve for height, shear and objects; a reason if the picture shows another skin."""
+        features: list[F32] | None = None
+        if Need.TOUCH in need and self._needs_features:
+            features = []
+        white, inside = look.own_white, self.rays.inside
+        depth = self._solver.solve(white, mark, features)
+        reason = first_reason(skin.map_measured(depth.untrusted_logit, inside))
+        degraded = look.degraded or skin.degraded_reason(depth.untrusted, inside)
         mark("depth")
         if reason:
-            return self._empty(frame, reason=reason)
-
+            return reason
         shear_mm = None
         if Need.SHEAR in need:
-            shear_mm = self._solver.shear_mm(preprocessed, features)
+            shear_mm = self._solver.shear_mm(white, features)
             if shear_mm is not None:
                 shear_mm += self._zero_shear_mm
             mark("shear")
-
+        geometry = self.calibration.geometry
         # The map without contact, 0 or NaN, adds NaN outside the disc.
-        height_mm = (
-            np.minimum(depth.height_mm, np.float32(self.calibration.geometry.height_max_mm))
-            + self._zero_mm
-        )
-        contact = contact_of(depth, self.rays.inside, self.profile.outline)
+        height_mm = np.minimum(depth.height_mm, np.float32(geometry.height_max_mm)) + self._zero_mm
+        contact = contact_of(depth, inside, self.profile.outline)
         objects = None
-        if changed_part >= self.gate_part:
+        if look.changed_part >= self.gate_part:
             objects = find_objects(
-                contact,
-                height_mm,
-                shear_mm,
-                self.rays,
-                self.calibration.geometry,
-                depth.contact_logit,
+                contact, height_mm, shear_mm, self.rays, geometry, depth.contact_logit
             )
-        found = self._beside_map(frame, preprocessed, depth, objects, degraded)
-        mark("cloud")
-        if objects is None or found:
-            touched = found is not None and found.code is ReasonCode.TOUCH_UNMEASURED
-            made = self._empty(frame, degraded=found or degraded, touched=touched)
-            if features:  # a model of labels may know a touch that the map does not show
-                return self._with_touch(made, features, mark)
-            relaxed = self._detector is None or self._detector.relaxed(frame.t_ns)
-            if quiet and not found and relaxed:
-                self._unchanged.keep(self._seen.grey(frame.image, self._grey_space), degraded)
-            return made
-        if need == Need.CONTACT:
+        return _Mapped(depth, height_mm, shear_mm, objects, degraded, features)
+
+    def _beside_map(self, frame: Frame, look: Look, made: _Mapped) -> Reason | None:
+        """Why a frame is another than its map shows: a touch that it does not show, or a contact
+        that is the tip's motion. Glare and another light may raise the evidence of a touch.
+        """
+        solver, detector = self._solver, self._detector
+        if detector is None or not isinstance(solver, LearnedSolver):
             return None
+        white = solver.fine_white(look.own_white)
+        if made.objects is None:
+            if made.degraded and made.degraded.code is not ReasonCode.UNTRUSTED:
+                return None
+            return detector.felt(frame.t_ns, made.depth, white, look.changed_part, look.lift)
+        moving = detector.moving(made.depth, white)
+        if moving is None:
+            depth_mm = max(each.depth_max_mm for each in made.objects.described)
+            detector.contact(frame.t_ns, depth_mm)
+        return moving
+
+    def _without_contact(
+        self, frame: Frame, look: Look, made: _Mapped, found: Reason | None, mark: Mark
+    ) -> Reconstruction:
+        """The answer to a frame whose map shows no contact, or one that is none."""
+        touched = found is not None and found.code is ReasonCode.TOUCH_UNMEASURED
+        answer = self._empty(frame, degraded=found or made.degraded, touched=touched)
+        if made.features:  # a model of labels may know a touch that the map does not show
+            return self._with_touch(answer, made.features, mark)
+        relaxed = self._detector is None or self._detector.relaxed(frame.t_ns)
+        if self._is_quiet(look) and not found and relaxed:
+            self._unchanged.keep(look.grey, made.degraded)
+        return answer
+
+    def _in_contact(self, frame: Frame, made: _Mapped, need: Need, mark: Mark) -> Reconstruction:
+        depth, objects = made.depth, made.objects
+        assert objects is not None
         sigma_mm = None
         if Need.SIGMA in need:
-            sigma_mm = self._sigma_mm(depth, height_mm, objects.contact)
+            sigma_mm = self._sigma_mm(depth, made.height_mm, objects.contact)
             mark("sigma")
-        untrusted = (
-            depth.untrusted if depth.untrusted is not None and depth.untrusted.any() else None
-        )
+        untrusted = None
+        if depth.untrusted is not None and depth.untrusted.any():
+            untrusted = depth.untrusted & self.rays.inside
         whole = self._empty(
             frame,
-            degraded=degraded,
+            degraded=made.degraded,
             contact=True,
             saturated=depth.saturated,
-            height=self._map(height_mm, objects.contact),
+            height=self._map(made.height_mm, objects.contact),
             cloud=objects.cloud,
             objects=objects.described,
             volume_mm3=objects.volume_mm3,
             repaired_px=depth.repaired_px,
-            shear_mm=shear_mm,
+            shear_mm=made.shear_mm,
             sigma_mm=sigma_mm,
-            untrusted=None if untrusted is None else untrusted & self.rays.inside,
+            untrusted=untrusted,
         )
         if Need.TOUCH in need:
-            whole = self._with_touch(whole, features, mark)
+            whole = self._with_touch(whole, made.features, mark)
         if self.namer is not None:
             whole = replace(whole, objects=self.namer(whole))
             mark("names")
@@ -283,83 +309,46 @@ class Reconstructor:
         """What the judges measure of an image that has the calibrated size;
         nothing after the first that refuses.
         """
-        grey = self._seen.grey(image)
-        made = self._judges.measured(grey)
-        if first_reason(made) is None:
-            preprocessed = self._seen.preprocess(grey)
-            drift_grey = self._seen.drift_grey(self._seen.ratio(preprocessed.white))
-            made += picture.white_measured(preprocessed.unseen, drift_grey)
-            if (
-                first_reason(made) is None
-                and self._gate.changed_part(preprocessed) >= self.gate_part
-            ):
-                made += skin.map_measured(self.depth(image).untrusted_logit, self.rays.inside)
+        return self._measured(Look(self._eye, image))
+
+    def _measured(self, look: Look) -> tuple[Measured, ...]:
+        made = look.measured
+        if first_reason(made) is None and look.changed_part >= self.gate_part:
+            depth = self._solver.solve(look.own_white, no_mark)
+            made += skin.map_measured(depth.untrusted_logit, self.rays.inside)
         return made
 
     def depth(self, image: U8) -> Depth:
         """The solver's depth for an image, without frame check and gate."""
-        return self._solver.solve(
-            self._preprocessor.preprocess(self._preprocessor.grey(image)), no_mark
-        )
+        return self._solver.solve(Look(self._eye, image).own_white, no_mark)
 
     def evidence(self, image: U8) -> Evidence | Reason:
         """What speaks for a touch in an image, or why the image is invalid or degraded; the gate is
         not asked, and the profile must have a network.
         """
-        if reason := size_reason(image, self._shape) or first_reason(self.measured(image)):
+        look = Look(self._eye, image)
+        if reason := look.size_reason or first_reason(self._measured(look)) or look.degraded:
             return reason
-        seen = self._seen.preprocess(self._seen.grey(image))
-        drift_grey = self._seen.drift_grey(self._seen.ratio(seen.white))
-        degraded = picture.degraded_reason(seen.unseen, drift_grey)
-        changed_part = self._gate.changed_part(seen)
-        own = self._preprocessor.preprocess(self._preprocessor.grey(image))
         assert isinstance(self._solver, LearnedSolver)
         assert self._detector is not None
-        depth, white = self._solver.solve(own, no_mark), self._solver.fine_white(own)
-        return degraded or self._detector.evidence(depth, white, changed_part)
-
-    def _beside_map(
-        self,
-        frame: Frame,
-        preprocessed: Preprocessed,
-        depth: Depth,
-        objects: Objects | None,
-        degraded: Reason | None,
-    ) -> Reason | None:
-        """Why a frame is another than its map shows: a touch that it does not show, or a contact
-        that is the tip's motion. Glare and another light may raise the evidence of a touch.
-        """
-        solver, detector = self._solver, self._detector
-        if detector is None or not isinstance(solver, LearnedSolver):
-            return None
-        white = solver.fine_white(preprocessed)
-        if objects is None:
-            if degraded and degraded.code is not ReasonCode.UNTRUSTED:
-                return None
-            lift = partial(self._seen.lift, frame.image)
-            return detector.felt(frame.t_ns, depth, white, self.changed_part, lift)
-        moving = detector.moving(depth, white)
-        if moving is None:
-            detector.contact(frame.t_ns, max(each.depth_max_mm for each in objects.described))
-        return moving
+        depth = self._solver.solve(look.own_white, no_mark)
+        white = self._solver.fine_white(look.own_white)
+        return self._detector.evidence(depth, white, look.changed_part)
 
     def _with_touch(
         self, made: Reconstruction, features: list[F32] | None, mark: Mark
     ) -> Reconstruction:
-        touch: Touch | None
+        touch: Touch | None = None
         if isinstance(self._touch, Reason):
             touch = Touch(reason=self._touch)
         elif isinstance(self._touch, TouchModel) and features:
             imprint = imprint_of(made.objects, made.volume_mm3) if made.contact else None
             touch = touch_by_model(self._touch, np.concatenate(features), imprint)
         else:
-            touch = (
-                touch_without_labels(made.objects, made.shear_of_contact_mm)
-                if made.contact
-                else None
-            )
-            if isinstance(self._touch, list) and features:
-                self._touch.append(np.concatenate(features))
+            if made.contact:
+                touch = touch_without_labels(made.objects, made.shear_of_contact_mm)
+            if callable(self._touch) and features:
+                self._touch(np.concatenate(features))
         mark("touch")
         return replace(made, touch=touch)
 

@@ -268,7 +268,7 @@ def learn_touch(
     fitted = calibration.fitted.get(profile.name)
     taken: list[F32] = []
     reconstructor = Reconstructor(
-        calibration, profile, load_network(profile.network, fitted), touch=taken
+        calibration, profile, load_network(profile.network, fitted), touch=taken.append
     )
     names: list[str] = []
     left_out, known, groups, imprints, parts = [], [], [], [], []

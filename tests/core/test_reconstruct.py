@@ -329,7 +329,7 @@ def test_a_light_press_is_felt_and_a_touch_beside_the_disc_is_not_invented() -> 
 
 def test_labels_are_learnt_from_touches_that_the_map_does_not_show() -> None:
     taken: list[F32] = []
-    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken)
+    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken.append)
     for _ in range(2):
         result = made.step(Frame(0, 0, 0, pressed("ball", 0.1, HALF, 2.0).image))
         assert not result.contact
@@ -340,7 +340,7 @@ def test_labels_are_learnt_from_touches_that_the_map_does_not_show() -> None:
 
 def test_labels_are_learnt_of_less_change_than_a_contact_needs() -> None:
     taken: list[F32] = []
-    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken)
+    made = Reconstructor(calibrated(), PROFILES["fast"], load_network("fast"), touch=taken.append)
     frame = Frame(0, 0, 0, pressed("ball", 2.0).image)
     assert made.step(frame).contact
     made.gate_part = made.changed_part + 0.01

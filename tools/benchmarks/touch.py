@@ -106,7 +106,10 @@ def with_model(calibration: Calibration, profile: str, frame: Frame) -> Reconstr
     network = PROFILES[profile].network
     assert network is not None
     features: list[F32] = []
-    Reconstructor(calibration, PROFILES[profile], load_network(network), touch=features).step(frame)
+    learner = Reconstructor(
+        calibration, PROFILES[profile], load_network(network), touch=features.append
+    )
+    learner.step(frame)
     model = largest_model(len(features[0]))
     return Reconstructor(calibration, PROFILES[profile], load_network(network), touch=model)
 

@@ -118,7 +118,7 @@ class Taker:
         self.imprints: list[F32] = []
         self.changed_parts: list[float] = []
         self.made = Reconstructor(
-            calibration, chosen, load_network(chosen.network), touch=self.features
+            calibration, chosen, load_network(chosen.network), touch=self.features.append
         )
 
     def take(self, image: U8) -> Reconstruction | None:
