@@ -196,7 +196,8 @@ class Session:
         image = np.array(frame.image)
         if press is asked and press not in (*self._again, *self.plan):
             self._again[:1] = [press]  # until it is taken, in place of one that was undone
-        judged = self._check.judge(image)
+        look = self._check.look(image)
+        judged = self._check.judge(look)
         if judged.unusable:
             raise ConfigError(f"the picture is unusable: {judged.unusable}")
         if judged.moved:
@@ -212,7 +213,7 @@ class Session:
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self.terminal.say(f"  {added.image}: {press}{warning}")
         if question := self._check.question(
-            known_press(added.image, image, press.row(), self.names)
+            look, known_press(added.image, image, press.row(), self.names)
         ):
             self.terminal.say(f"  {question} (undo removes the press)")
         if self.robot and press is asked and (unknown := self.robot.learn(press.columns, frame)):

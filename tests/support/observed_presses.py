@@ -47,4 +47,6 @@ def _observe(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
         )
         for k, (p, radius) in enumerate(ball_presses(model, PRESSES, seed))
     ]
-    return tuple(observe_press(preprocessor, mapper, press) for press in presses), unloaded.geometry
+    maps = [mapper.maps(preprocessor.preprocess(preprocessor.grey(each.image))) for each in presses]
+    observed = zip(maps, presses, strict=True)
+    return tuple(observe_press(preprocessor, *each) for each in observed), unloaded.geometry

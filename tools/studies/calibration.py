@@ -131,8 +131,14 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
     """What is wrong with one press, and whether it is found; each press in turn."""
     unloaded, scale = given.calibrate(presses=[]).calibration, given.scale
     check, geometry = PressCheck(unloaded, load_networks()[GRADED_PROFILE]), unloaded.geometry
-    grey = [check.observe(press) for press in given.presses]
-    observed = [check.see(each, press) for each, press in zip(grey, given.presses, strict=True)]
+    looks = [check.look(press.image) for press in given.presses]
+    grey = [
+        check.observe(look.maps, press) for look, press in zip(looks, given.presses, strict=True)
+    ]
+    observed = [
+        check.see(look, each, press)
+        for look, each, press in zip(looks, grey, given.presses, strict=True)
+    ]
     changes: dict[str, Callable[[KnownPress], KnownPress]] = {
         f"one depth {off:+.1f} mm off": lambda p, off=off: replace(
             p, depth_mm=p.depth_mm + off * scale

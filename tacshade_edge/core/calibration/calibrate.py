@@ -88,7 +88,13 @@ def calibrate(
     )
     fitted = with_paper_scale(replace(unloaded, polarity=selection.polarity), selection.presses)
     made = {
-        name: refit_profile(fitted, PROFILES[name], each, selection.presses)
+        name: refit_profile(
+            fitted,
+            PROFILES[name],
+            each,
+            selection.presses,
+            selection.answers if name == GRADED_PROFILE else (),
+        )
         for name, each in networks.items()
     }
     refits = {name: refit for name, refit in made.items() if refit}

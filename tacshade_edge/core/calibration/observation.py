@@ -18,7 +18,7 @@ import numpy as np
 from tacshade_edge.core.calibration.indenters import Ball, PlacedIndenter
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.geometry.disc import DiscRays, skin_points
-from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMaps, Preprocessor
 from tacshade_edge.types import F32, F64, Geometry
 
 # χ = ψ^(1-w) ψ⁻^w, ψ from all change, ψ⁻ from the darkening, plus a floor (grey levels), so that a
@@ -125,12 +125,11 @@ class PressObservation:
 
 
 def observe_press(
-    preprocessor: Preprocessor, mapper: GreyMapper, press: KnownPress
+    preprocessor: Preprocessor, maps: GreyMaps, press: KnownPress
 ) -> PressObservation:
-    """Measure the change in the image of a press with the sensor's preprocessor and grey maps."""
+    """Measure the change in the grey maps of a press with the sensor's preprocessor."""
     geometry = preprocessor.calibration.geometry
     reach = REACH_RADII * geometry.size_mm / (preprocessor.profile.stride_px * geometry.mm_per_px)
-    maps = mapper.maps(preprocessor.preprocess(preprocessor.grey(press.image)))
     change = screened_change(maps, reach)
     bright = screened_brightening(maps, reach)
     brightest = np.unravel_index(int(np.argmax(bright)), bright.shape)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -168,16 +169,23 @@ class Refit:
 
 
 def refit_profile(
-    calibration: Calibration, profile: Profile, network: Network, presses: Sequence[KnownPress]
+    calibration: Calibration,
+    profile: Profile,
+    network: Network,
+    presses: Sequence[KnownPress],
+    answers: Sequence[Inverse | None] = (),
 ) -> Refit | None:
-    """Refit a profile; None if its network finds too few of the contacts."""
+    """Refit a profile; None if its network finds too few of the contacts.
+
+    `answers`: the network's to each press, if it looked at them before.
+    """
     geometry = calibration.geometry
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
     inside = rays_in_image(solver.grid, calibration).inside
     rows, used, parts, warnings = [], [], [], []
-    for press in presses:
-        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+    for press, answer in zip_longest(presses, answers):
+        inverse = answer or solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
         parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
         if parts[-1] > UNTRUSTED_UNLEARNT:
             warnings.append(

@@ -170,6 +170,10 @@ class GreyMaps:
     g_d: F32
     inside: Bool
 
+    def inverted(self) -> GreyMaps:
+        """The maps of a sensor of the other polarity."""
+        return replace(self, g_d=-self.g_d)
+
 
 class GreyMapper:
     """Denoises white ratios, then applies eq. 9 without the common change of light."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from tacshade_edge.core.frame_check import camera, plain_judges
 from tacshade_edge.core.geometry import disc_map
 from tacshade_edge.core.geometry.disc import disc_rays, skin_points
 from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
+from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.reasons import Reason
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Geometry
@@ -108,34 +109,28 @@ class PressCheck:
     """
 
     def __init__(self, unloaded: Calibration, network: Network | None = None) -> None:
-        self._unloaded = unloaded
-        self._preprocessor = Preprocessor(unloaded, PROFILE)
-        self._mapper = GreyMapper(self._preprocessor)
-        self._gate = ContactGate(self._preprocessor)
+        self.geometry = unloaded.geometry
+        self.preprocessor = Preprocessor(unloaded, PROFILE)
+        self.mapper = GreyMapper(self.preprocessor)
+        self.gate = ContactGate(self.preprocessor)
         self._judges = plain_judges(unloaded)
         self._reference = camera.look(
             unloaded.reference_grey, unloaded.geometry.disc, unloaded.pitch_px
         )
-        self._seen = Preprocessor(unloaded, PROFILES[GRADED_PROFILE])
-        self._solver = LearnedSolver(self._seen, network) if network else None
+        self.seen = Preprocessor(unloaded, PROFILES[GRADED_PROFILE])
+        self.solver = LearnedSolver(self.seen, network) if network else None
 
-    @property
-    def geometry(self) -> Geometry:
-        """The sensor's geometry."""
-        return self._unloaded.geometry
+    def look(self, image: U8) -> PressLook:
+        """Look at an image (H, W) or (H, W, 3)."""
+        return PressLook(self, image)
 
-    def _inverse(self, image: U8) -> Inverse | None:
-        """The network's answer; None without one, or if it sees no contact."""
-        if self._solver is None:
-            return None
-        inverse = self._solver.inverse(self._seen.preprocess(self._seen.grey(image)))
-        return inverse if np.count_nonzero(_contact(inverse)) >= LEAST_CELLS else None
-
-    def see(self, observed: PressObservation, press: KnownPress) -> PressObservation:
+    def see(
+        self, look: PressLook, observed: PressObservation, press: KnownPress
+    ) -> PressObservation:
         """The observation with what the network sees;
         unchanged without a network, or if it sees no contact.
         """
-        inverse, geometry = self._inverse(press.image), self.geometry
+        inverse, geometry = look.inverse, self.geometry
         if inverse is None:
             return observed
         seen = replace(
@@ -166,15 +161,19 @@ class PressCheck:
             seen_cells=np.stack((x_px, y_px, inverse.height_mm[rows, cols])).astype(np.float64),
         )
 
-    def observe(self, press: KnownPress) -> PressObservation:
-        """The change in the image of a press."""
-        return observe_press(self._preprocessor, self._mapper, press)
+    def observe(self, maps: GreyMaps, press: KnownPress) -> PressObservation:
+        """The change in the grey maps of a press."""
+        return observe_press(self.preprocessor, maps, press)
 
-    def question(self, ball: KnownPress) -> str:
+    def observation(self, look: PressLook, press: KnownPress) -> PressObservation:
+        """What the image and the network show of a press."""
+        return self.see(look, self.observe(look.maps, press), press)
+
+    def question(self, look: PressLook, ball: KnownPress) -> str:
         """A question about the radius of a ball that looks much larger or smaller than stated;
         empty otherwise.
         """
-        seen = self.see(self.observe(ball), ball)
+        seen = self.observation(look, ball)
         larger = seen.ball_factor > _LOOKS[1] and seen.misfit_ratio > _LOOKS_RATIO
         if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (
             larger or seen.ball_factor < _LOOKS[0]
@@ -189,19 +188,56 @@ class PressCheck:
             f"this looks like a ball of about {seen.ball_factor * ball.radius_mm:.0f} mm: {asked}"
         )
 
-    def judge(self, image: U8) -> Judgement:
-        """Judge an image (H, W) or (H, W, 3)."""
-        grey = self._preprocessor.grey(image)
-        if reason := self._judges.reason(grey):
+    def judge(self, look: PressLook) -> Judgement:
+        """Judge an image."""
+        if reason := self._judges.reason(look.grey):
             return Judgement(reason)
-        drift = camera.drift(self._reference, grey)
+        drift = camera.drift(self._reference, look.grey)
         shift = camera.shift_reason(drift, self.geometry.disc)
         if shift and camera.shifted_too_far(drift, self.geometry.disc):
             return Judgement(None, moved=str(shift))
         changed = str(shift or drift.light_reason or "")
-        in_contact = (
-            self._gate.changed_part(self._preprocessor.preprocess(grey)) >= self._gate.plain_part
-        )
-        return Judgement(
-            None, changed=changed, in_contact=in_contact or self._inverse(grey) is not None
-        )
+        in_contact = look.changed_part >= self.gate.plain_part or look.inverse is not None
+        return Judgement(None, changed=changed, in_contact=in_contact)
+
+
+class PressLook:
+    """The image of a press, looked at once: what is derived from it is kept, on cells."""
+
+    def __init__(self, check: PressCheck, image: U8) -> None:
+        self._check = check
+        self._image = image
+
+    @cached_property
+    def grey(self) -> U8:
+        """The grey image."""
+        return self._check.preprocessor.grey(self._image)
+
+    @cached_property
+    def _seen(self) -> tuple[float, GreyMaps]:
+        check = self._check
+        white = check.preprocessor.preprocess(self.grey)
+        return check.gate.changed_part(white), check.mapper.maps(white)
+
+    @property
+    def changed_part(self) -> float:
+        """The part of the picture that changed since the references."""
+        return self._seen[0]
+
+    @property
+    def maps(self) -> GreyMaps:
+        """The grey maps of section IV-A."""
+        return self._seen[1]
+
+    @cached_property
+    def answer(self) -> Inverse | None:
+        """The network's answer; None without a network."""
+        solver, seen = self._check.solver, self._check.seen
+        return None if solver is None else solver.inverse(seen.preprocess(seen.grey(self._image)))
+
+    @property
+    def inverse(self) -> Inverse | None:
+        """The network's answer if it sees a contact."""
+        answer = self.answer
+        seen = answer is not None and np.count_nonzero(_contact(answer)) >= LEAST_CELLS
+        return answer if seen else None

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tacshade_edge.core.calibration.observation import (
     first_touch_mm,
     with_stated_place,
 )
-from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.presses.press_check import PressCheck, PressLook
 from tacshade_edge.core.calibration.presses.sensor_check import wrong_keys
 from tacshade_edge.core.calibration.presses.table_check import (
     gross_mistakes,
@@ -24,6 +24,7 @@ from tacshade_edge.core.calibration.presses.table_check import (
     polarity_hint,
 )
 from tacshade_edge.core.depth import Network
+from tacshade_edge.core.depth.learned import Inverse
 from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import F64, Calibration, Geometry, Polarity
@@ -227,6 +228,7 @@ class Selection:
     warnings: tuple[str, ...]
     polarity: Polarity
     wrong_keys: str
+    answers: tuple[Inverse | None, ...]
 
 
 def select_presses(
@@ -248,14 +250,15 @@ def select_presses(
         )
     geometry = unloaded.geometry
     check = PressCheck(unloaded, network)
-    pressed: list[KnownPress] = []
+    pressed: list[tuple[KnownPress, PressLook]] = []
     left_out: list[str] = []
     warnings: list[str] = []
     for press in presses:
         if impossible := _impossible(unloaded, press):
             left_out.append(f"{press.name}: {impossible}")
             continue
-        judged = check.judge(press.image)
+        look = check.look(press.image)
+        judged = check.judge(look)
         if judged.unusable:
             left_out.append(f"{press.name}: {judged.unusable}")
         elif judged.moved:
@@ -265,20 +268,20 @@ def select_presses(
                 f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep"
             )
         else:
-            pressed.append(press)
+            pressed.append((press, look))
             if judged.changed:
                 warnings.append(f"{press.name}: {judged.changed} since the references were taken")
-    observations = [check.observe(press) for press in pressed]
+    observations = [check.observe(look.maps, press) for press, look in pressed]
     polarity = unloaded.polarity
     if len(observations) >= MIN_PRESSES:
-        inverted = PressCheck(replace(unloaded, polarity=other_polarity(polarity)))
-        otherwise = [inverted.observe(press) for press in pressed]
+        otherwise = [check.observe(look.maps.inverted(), press) for press, look in pressed]
         if hint := polarity_hint(observations, otherwise, polarity):
             if polarity_stated:
                 raise ConfigError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
     observations = [
-        check.see(each, press) for each, press in zip(observations, pressed, strict=True)
+        check.see(look, each, press)
+        for each, (press, look) in zip(observations, pressed, strict=True)
     ]
     keys = wrong_keys(observations, geometry)
     if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
@@ -298,11 +301,12 @@ def select_presses(
         )
         raise ConfigError(found, others=left_out[1:])
     return Selection(
-        tuple(pressed[k] for k in usable),
+        tuple(pressed[k][0] for k in usable),
         tuple(observations[k] for k in usable),
         (*warnings, *(f"{reason}; left out" for reason in left_out)),
         polarity,
         keys,
+        tuple(pressed[k][1].answer for k in usable),
     )
 
 

@@ -22,7 +22,7 @@ def check() -> PressCheck:
 
 
 def seen(press: KnownPress) -> PressObservation:
-    found = check().see(check().observe(press), press)
+    found = check().observation(check().look(press.image), press)
     assert found.is_seen
     return found
 
@@ -33,8 +33,8 @@ def test_balls_are_seen_where_they_are_and_as_large_as_they_are() -> None:
         found = seen(press)
         assert found.place_error_mm(*found.place_mm) < 0.8, press.name
         assert found.ball_factor > 0.8, press.name
-        assert not check().question(press), press.name
-    assert not check().judge(unloaded()).in_contact
+        assert not check().question(check().look(press.image), press), press.name
+    assert not check().judge(check().look(unloaded())).in_contact
 
 
 @pytest.mark.slow
@@ -43,7 +43,7 @@ def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float
     deep = [press for press in presses() if press.depth_mm > 1]
     wrong = [replace(press, radius_mm=stated * press.radius_mm) for press in deep]
     assert low < float(np.median([seen(press).ball_factor for press in wrong])) < high
-    asked = [check().question(press) for press in wrong]
+    asked = [check().question(check().look(press.image), press) for press in wrong]
     assert sum(("diameter" if stated > 1 else "radius") in text for text in asked) >= 0.9 * len(
         asked
     )

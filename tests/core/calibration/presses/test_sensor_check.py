@@ -23,7 +23,8 @@ def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) 
     unloaded = calibrate(wrong, references()).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
     return wrong_keys(
-        [check.see(check.observe(one), one) for one in table or presses()], unloaded.geometry
+        [check.observation(check.look(one.image), one) for one in table or presses()],
+        unloaded.geometry,
     )
 
 
@@ -49,7 +50,7 @@ def said_of(pressed: SensorModel, stated: SensorModel) -> str:
     """What the presses of one sensor say of the SENSOR.yaml of another with the same picture."""
     unloaded = calibrate(sensor_of(stated), references(pressed)).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
-    seen = [check.see(check.observe(one), one) for one in presses(pressed)]
+    seen = [check.observation(check.look(one.image), one) for one in presses(pressed)]
     return wrong_keys(seen, unloaded.geometry)
 
 

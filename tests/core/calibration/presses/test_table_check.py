@@ -60,7 +60,7 @@ def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
 def seen() -> tuple[PressObservation, ...]:
     """True presses of `HALF`, also as a network sees them."""
     check = PressCheck(calibrated(count=0), load_networks()["accurate"])
-    return tuple(check.see(check.observe(press), press) for press in half_presses())
+    return tuple(check.observation(check.look(press.image), press) for press in half_presses())
 
 
 def turned(a: float, b: float, c: float, d: float) -> Change:
