@@ -10,13 +10,14 @@
 # make test    everything, with the real broker and a guest with a real kernel's video devices
 # make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
+# make house   the rooms of the package: sizes, and who imports whom
 # make faults  the table of docs/results/faults.md; 4 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu' 'numba>=0.61,<1'
 
-.PHONY: demo lint check coverage docs test test-arm test-container dist deb apt image lock faults format clean
+.PHONY: demo lint check coverage docs test test-arm test-container dist deb apt image lock faults house format clean
 .DELETE_ON_ERROR:
 
 # Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
@@ -48,6 +49,9 @@ check: .venv/dev.stamp
 
 coverage: .venv/dev.stamp
 	$(PY) -m tools.ci.measure_coverage
+
+house: .venv/dev.stamp
+	$(PY) -m tools.ci.house
 
 docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build

@@ -1,0 +1,91 @@
+#!/usr/bin/env python3
+"""Show the rooms of the package: how large each is, what it offers, and whom it knows.
+
+::
+
+    .venv/bin/python -m tools.ci.house
+
+A room is a folder or module directly below the package, but for `core`, `cli`, `studies` and
+`devices`, whose folders are rooms. "In" counts other rooms that import it, "out" those that it
+imports.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "tacshade_edge"
+FLOORS = ("core", "cli", "devices", "studies")
+"""Folders whose own folders are rooms."""
+COLUMNS = ("room", "lines", "nodes", "public names", "in", "out", "longest function", "comments %")
+
+
+@dataclass(slots=True)
+class Room:
+    """What is counted of a room."""
+
+    lines: int = 0
+    nodes: int = 0
+    public: int = 0
+    comments: int = 0
+    longest: int = 0
+    out: set[str] = field(default_factory=set)
+
+
+def room_of(module: tuple[str, ...]) -> str:
+    """The room of a module, by its names below the package."""
+    deep = len(module) > 2 and module[0] in FLOORS
+    return ".".join(module[: 2 if deep else 1])
+
+
+def modules_of(tree: ast.AST) -> Iterator[tuple[str, ...]]:
+    """The package's modules that a tree imports, by their names below the package."""
+    for node in ast.walk(tree):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        for name in names:
+            package, *module = name.split(".")
+            if package == PACKAGE and module:
+                yield tuple(module)
+
+
+def rooms(root: Path = ROOT) -> dict[str, Room]:
+    """Every room of a tree by its name."""
+    made: dict[str, Room] = defaultdict(Room)
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        relative = path.relative_to(root / PACKAGE).with_suffix("")
+        name, source = room_of(relative.parts), path.read_text(encoding="utf-8")
+        tree, room = ast.parse(source), made[name]
+        room.lines += source.count("\n")
+        room.comments += sum(line.lstrip().startswith("#") for line in source.splitlines())
+        room.public += sum(
+            isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_")
+            for node in tree.body
+        )
+        for node in ast.walk(tree):
+            room.nodes += 1
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                room.longest = max(room.longest, (node.end_lineno or 0) - node.lineno + 1)
+        room.out |= {room_of(module) for module in modules_of(tree)} - {name}
+    return dict(made)
+
+
+def table(made: dict[str, Room]) -> str:
+    """The rooms as a table of Markdown."""
+    rows = [COLUMNS, tuple("---" for _ in COLUMNS)]
+    for name, room in sorted(made.items()):
+        known_by = sum(name in other.out for other in made.values())
+        share = f"{100 * room.comments / max(room.lines, 1):.1f}"
+        numbers = (room.lines, room.nodes, room.public, known_by, len(room.out), room.longest)
+        rows.append((f"`{name}`", *map(str, numbers), share))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+if __name__ == "__main__":
+    print(table(rooms()))
