@@ -39,8 +39,9 @@ class Room:
 
 def room_of(module: tuple[str, ...]) -> str:
     """The room of a module, by its names below the package."""
-    deep = len(module) > 2 and module[0] in FLOORS
-    return ".".join(module[: 2 if deep else 1])
+    floor, *rooms_and_modules = module
+    deep = floor in FLOORS and len(rooms_and_modules) > 1
+    return ".".join(module[:2] if deep else module[:1])
 
 
 def modules_of(tree: ast.AST) -> Iterator[tuple[str, ...]]:
