@@ -16,7 +16,7 @@ from tacshade_edge.capture.unlabelled import Unlabelled
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.indenters import Indenter
 from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.presses.press_check import PressCheck
+from tacshade_edge.core.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.core.calibration.quality import GRADED_PROFILE
 from tacshade_edge.core.calibration.reference.references import block_means
 from tacshade_edge.core.image.greyscale import to_grey
@@ -101,8 +101,12 @@ class Session:
 
     def _use(self, unloaded: Calibration) -> None:
         """Judge presses from now on by a calibration from references."""
-        self._check = PressCheck(unloaded, load_network(GRADED_PROFILE))
-        self._unlabelled = Unlabelled(self.folder, self.live, self.terminal, self._check.judge)
+        self._check = check = PressCheck(unloaded, load_network(GRADED_PROFILE))
+
+        def judge(image: U8) -> Judgement:
+            return check.judge(check.look(image))
+
+        self._unlabelled = Unlabelled(self.folder, self.live, self.terminal, judge)
 
     def _checked_again(self, images: Sequence[U8]) -> Calibration | None:
         try:

@@ -169,7 +169,8 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
                 y_mm=wrong.y_mm,
             )
             found = outliers(
-                [*observed[:k], check.see(stated, wrong), *observed[k + 1 :]], geometry
+                [*observed[:k], check.see(looks[k], stated, wrong), *observed[k + 1 :]],
+                geometry,
             )
             yield label, k in found
 
