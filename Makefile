@@ -6,8 +6,10 @@
 # make apt KEY=FINGERPRINT   a signed apt repository of the packages in dist/, into dist/apt, by reprepro
 # make dist   sdists and wheels of the last commit, checked by twine, into dist/
 # make image   the container image tacshade-edge, by podman (IMAGE_TOOL=docker: by docker)
-# make lock    newer wheels for boards, on purpose: systemd/requirements.lock and the bill of what is in them
+# make lock    newer wheels, on purpose: systemd/requirements.lock for boards, tools/ci/requirements.lock for tests
+# make bill    the bill of materials of the wheels for boards, into dist/
 # make test    everything, with the real broker and a guest with a real kernel's video devices
+# make test ONE=tests/core/test_depth.py   one file, folder or test (FILE::NAME) with what it needs, its output shown
 # make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
 # make house   the rooms of the package: sizes, and who imports whom
@@ -17,7 +19,7 @@ PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
 CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13.0+cpu' 'numba>=0.61,<1'
 
-.PHONY: demo lint check coverage docs test test-arm test-container dist deb apt image lock faults house format clean
+.PHONY: demo lint check coverage docs test test-arm test-container dist deb apt image lock bill faults house format clean
 .DELETE_ON_ERROR:
 
 # Three stamps: the demo installs only what a user needs, and 110 MB for the site only who builds it.
@@ -26,8 +28,8 @@ CPU_TORCH := --extra-index-url https://download.pytorch.org/whl/cpu 'torch==2.13
 	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[demo]'
 	touch $@
 
-.venv/dev.stamp: .venv/run.stamp
-	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+.venv/dev.stamp: .venv/run.stamp tools/ci/requirements.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r tools/ci/requirements.lock
 	touch $@
 
 .venv/docs.stamp: .venv/run.stamp
@@ -62,7 +64,7 @@ test: .venv/dev.stamp
 	  echo "tests: PyTorch could not be installed: those of calibrate --fit will be skipped"
 	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 'systemd-python>=235' || \
 	  echo "tests: systemd-python could not be built: those of the journal's fields will be skipped"
-	$(PY) -m tools.ci.run_tests
+	$(PY) -m tools.ci.run_tests $(ONE)
 
 test-arm: .venv/dev.stamp
 	$(PY) -m tools.ci.run_arm
@@ -98,10 +100,16 @@ lock: .venv/dev.stamp
 	  UV_CUSTOM_COMPILE_COMMAND='make lock' $(UV) pip compile --quiet pyproject.toml - --universal --python-version 3.11 \
 	  --extra dashboard --upgrade --generate-hashes --only-binary :all: --emit-build-options --no-annotate \
 	  --output-file systemd/requirements.lock
+	UV_CUSTOM_COMPILE_COMMAND='make lock' $(UV) pip compile --quiet pyproject.toml --universal --python-version 3.11 \
+	  --extra all --extra cluster --group dev --upgrade --generate-hashes --no-annotate \
+	  --output-file tools/ci/requirements.lock
+
+bill: .venv/dev.stamp
 	$(UV) venv --quiet --clear out/locked
 	$(UV) pip install --quiet --python out/locked --require-hashes --no-deps -r systemd/requirements.lock
+	mkdir -p $(DIST)
 	$(UV) tool run --quiet --from 'cyclonedx-bom>=7' cyclonedx-py environment --pyproject pyproject.toml \
-	  --output-reproducible --output-file docs/reference/bill.cdx.json out/locked
+	  --output-reproducible --output-file $(DIST)/bill.cdx.json out/locked
 
 faults: .venv/dev.stamp
 	$(PY) -m tools.faults table

@@ -26,11 +26,22 @@ settings.register_profile(
 settings.load_profile("tacshade")
 
 
+LONG_S = 1800
+"""The time limit of a test that needs more than this process."""
+LONG_MARKS = {"broker", "browser", "fit", "node", "slow"}
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with those that wait longest, so that no worker has them left
-    when the others are done.
+    when the others are done; give tests the time limit of their mark.
     """
     items.sort(key=lambda item: "service" not in item.path.parts)
+    for item in items:
+        marks = {mark.name for mark in item.iter_markers()}
+        if "container" in marks:
+            item.add_marker(pytest.mark.timeout(2 * LONG_S))
+        elif marks & LONG_MARKS and "timeout" not in marks:
+            item.add_marker(pytest.mark.timeout(LONG_S))
 
 
 @pytest.fixture(autouse=True, scope="session")

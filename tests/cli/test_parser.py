@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -249,8 +250,6 @@ def test_too_low_a_limit_is_reported_before_a_library_crashes(
     assert done.stderr.startswith(f"tacshade-edge: {found}")
 
 
-pytest.importorskip("shtab", reason="shtab is not installed")
-
 ASK = """
 source {script}
 COMP_WORDS=({typed}); COMP_CWORD={last}; COMP_LINE='{typed}'; COMP_POINT=${{#COMP_LINE}}
@@ -267,6 +266,7 @@ def completed(script: Path, typed: str) -> list[str]:
     ).stdout.split()
 
 
+@pytest.mark.skipif(find_spec("shtab") is None, reason="shtab is not installed")
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
 def test_bash_completes_commands_and_options(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

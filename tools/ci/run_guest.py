@@ -38,6 +38,7 @@ PYTEST = (
     "no:faulthandler",
     "-p",
     "no:hypothesispytest",
+    "--timeout=1800",
     "--tb=native",
 )
 

@@ -4,10 +4,11 @@ skipped (and why) and took.
 
 ::
 
-    python3 -m tools.ci.run_tests [STAGE...]
+    python3 -m tools.ci.run_tests [STAGE... | TEST]
 
 `make test` runs lint, tests and guest, `make check` lint and quick: the tests without a mark. A
-stage that fails does not keep the next from running. Exit 1 when one failed.
+stage that fails does not keep the next from running. Exit 1 when one failed. A TEST (a file, a
+folder or FILE::NAME) runs alone, in the guest if it belongs there.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ SPREAD = ("-n", WORKERS, "--dist", "worksteal")
 until it has nothing left to do.
 """
 QUICK = "not (broker or browser or container or fit or guest or node or slow)"
+WITH_BROKER = "broker and not (browser or container or fit or guest or node)"
 ALL = "not guest and not container"
 ENVIRONMENT = {
     name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
@@ -57,10 +59,12 @@ but tests that a clock hurries failed, of both stages.
 STAGES: dict[str, tuple[str, ...]] = {
     "lint": ("make", "--no-print-directory", "lint"),
     "quick": (*PYTEST, *SPREAD, "-m", QUICK, "--durations=5", "--durations-min=0.5"),
+    "broker": (*PYTEST, *SPREAD, "-m", WITH_BROKER, "--durations=5", "--durations-min=5"),
     "tests": (*PYTEST, *SPREAD, "-m", ALL, "--durations=20", "--durations-min=5"),
     "guest": (sys.executable, "-m", "tools.ci.run_guest"),
 }
-"""The quick tests are among the `tests`: each worker imports 400 files once, not twice."""
+"""The tests of `quick` and `broker` are among the `tests`: each worker imports 400 files once."""
+EVERYTHING = ("lint", "tests", "guest")
 GUESTS_RESULTS = TREE / ".rig/out/results.xml"
 CANNOT = 77
 """The guest's exit status where it lacks something."""
@@ -109,10 +113,19 @@ def run(name: str) -> Stage:
     )
 
 
+def run_one(test: str) -> int:
+    """Run one file, folder or test and show its output; pytest's exit status."""
+    in_guest = Path(test.partition("::")[0]).is_relative_to("tests/guest")
+    words = STAGES["guest"] if in_guest else (*PYTEST, "-rs")
+    return subprocess.run((*words, test), cwd=TREE, env=ENVIRONMENT, check=False).returncode
+
+
 def main() -> int:
-    """Run the named stages, or all."""
+    """Run the named stages, one test, or all stages."""
+    if sys.argv[1:] and sys.argv[1] not in STAGES:
+        return run_one(sys.argv[1])
     began_s = time.monotonic()
-    names = sys.argv[1:] or [name for name in STAGES if name != "quick"]
+    names = sys.argv[1:] or list(EVERYTHING)
     with ThreadPoolExecutor(max_workers=1) as pool:
         beside = [pool.submit(run, name) for name in names if name in BESIDE]
         stages = [run(name) for name in names if name not in BESIDE]

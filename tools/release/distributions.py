@@ -53,14 +53,12 @@ def repository(tree: Path) -> str:
 
     Raises ValueError: it is none, and no index would take it.
     """
-    found = str(
-        tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"][
-            "Repository"
-        ]
-    )
+    project = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    found = str(project.get("urls", {}).get("Repository", "none"))
     if not found.startswith("https://"):
         raise ValueError(
-            f"pyproject.toml: Repository: found {found}, expected an address with https://"
+            f"pyproject.toml: Repository below [project.urls]: found {found}, "
+            "expected an address with https://"
         )
     return found.rstrip("/")
 

@@ -68,10 +68,9 @@ def outside_links(markdown: str, page: Path, repository: str) -> str:
 
 
 def repository_url() -> str:
-    """The address that pyproject.toml states; empty while that is a placeholder."""
-    urls = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
-    address: str = urls["Repository"]
-    return address.rstrip("/") if address.startswith("https://") else ""
+    """The address that pyproject.toml states; empty if it states none."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return str(project.get("urls", {}).get("Repository", "")).rstrip("/")
 
 
 def on_config(config: Any) -> Any:

@@ -63,7 +63,7 @@ Description: tactile sensor TacShade: camera to height maps over MQTT
 COPYRIGHT = """\
 tacshade-edge is under the licence below. The packages of others beside it in
 /opt/tacshade-edge/lib, unchanged as on the Python Package Index, have their licences in their
-folders *.dist-info, cv2 and onnxruntime there; bill.cdx.json lists them.
+folders *.dist-info, cv2 and onnxruntime there; the release's bill.cdx.json lists them.
 
 """
 
@@ -117,8 +117,7 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
     about = root / "usr/share/doc/tacshade-edge"
     about.mkdir(parents=True)
     (about / "copyright").write_text(COPYRIGHT + (TREE / "LICENSE").read_text())
-    for name in ("docs/reference/bill.cdx.json", "CHANGELOG.md"):
-        shutil.copy(TREE / name, about)
+    shutil.copy(TREE / "CHANGELOG.md", about)
     check_machine(root, machine)
     # Before anything in DEBIAN, which is not installed.
     files = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink()]

@@ -165,7 +165,8 @@ def install(python: str, root: Path) -> None:
         lock,
     )
     dev = ("--target", str(root / "opt/dev"))
-    _run(*UV, "install", *board, *dev, "-r", str(TREE / "pyproject.toml"), "--extra", "dev")
+    tests = str(TREE / "tools/ci/requirements.lock")
+    _run(*UV, "install", *board, *dev, "--require-hashes", "--no-deps", "-r", tests)
     # What the package says of itself; its code is this tree's.
     _run(*UV, "install", *board[:-2], *dev, "--no-deps", str(TREE))
     shutil.rmtree(root / "opt/dev/tacshade_edge")
