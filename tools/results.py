@@ -161,14 +161,11 @@ PAGES = {
     ),
     "strangers": Page(
         {
-            "": (
-                f"{STRANGERS} --families third --range final --first 2 --sensors 2"
-                " --ways none,touches"
+            "": (f"{STRANGERS} --families third --range final --first 2 --sensors 2 --ways none"),
+            "A layered skin, with touches": (
+                f"{STRANGERS} --families layered --range final --sensors 1 --ways touches"
             ),
-            "A layered skin": (
-                f"{STRANGERS} --families layered --range final --sensors 2 --ways touches"
-            ),
-            "An oblate skin": (
+            "An oblate skin, with touches": (
                 f"{STRANGERS} --families oblate --range final --sensors 1 --ways touches"
             ),
             "Do touches rank maps?": (
