@@ -202,7 +202,6 @@ OLDER = (
     "sigma",
     "detection",
     "recognise",
-    "strangers",
     "limits",
     "paper",
     "tradeoff",

@@ -33,7 +33,6 @@ WITHOUT_FINGERPRINT = {
     "faults",
     "detection",
     "recognise",
-    "strangers",
 }
 """The pages that were there before fingerprints: any other page is current."""
 PROGRAM = '"""A program."""\n\n\ndef half(x):\n    """Halve."""\n    return f"{x / 2:.{1}f}" + ""\n'
