@@ -105,8 +105,8 @@ class TestUp:
         rig = Rig(broker.port).connect()
         for seq in range(5):
             rig.link.offer("height", seq.to_bytes(4, "big") + bytes(200_000), seq)
-        rig.link.stop(2)
-        rig.link.stop(2)  # again is nothing
+        rig.link.stop(10)
+        rig.link.stop(10)  # again is nothing
         assert subscriber.wait_for(f"{BASE}/state", 2)[-1] == b"stopped"
         assert numbers(subscriber)[-1] == 4
         topics = [m.topic for m in subscriber.messages]
