@@ -211,4 +211,5 @@ def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.7, 1.0, 1.4]), st.integers(12, 40))
 def test_right_depths_are_not_taken_for_travel(seed: int, factor: float, count: int) -> None:
     found_mm, balls = set_of(count, seed)
-    zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them
+    hint = zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them
+    assert "travel" not in hint
