@@ -1,8 +1,9 @@
 """A fingerprint of what decides a page's figures:
 networks, golden results, and the programs that measure.
 
-Of Python files the syntax tree counts, without docstrings: neither formatting nor comments change a
-fingerprint, and every version of Python makes the same.
+Of Python files the syntax tree counts, without docstrings and imports, and not where a file lies:
+neither formatting nor comments nor moves change a fingerprint, and every version of Python makes
+the same.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ FOLLOWED = (
     "tools/",
     "tacshade_edge/cli/commands/",
     "tacshade_edge/fitting/",
+    "tacshade_edge/lab/cluster",
+    "tacshade_edge/lab/parallel",
     "tacshade_edge/simulator/camera_faults",
     "tacshade_edge/studies/",
 )
@@ -44,9 +47,9 @@ def fingerprint(
     golden = [GOLDEN / "replay.json"]
     golden += [GOLDEN / f"profiles/{name}.json" for name in ("simulator", *profiles)]
     parts = (
-        _digest((path, _bytes_of(path)) for path in WEIGHTS.iterdir()),
-        _digest((path, _bytes_of(path)) for path in golden),
-        _digest((path, tree_of(path)) for path in code),
+        _digest(f"{path.name} {_bytes_of(path)}" for path in WEIGHTS.iterdir()),
+        _digest(f"{path.name} {_bytes_of(path)}" for path in golden),
+        _digest(map(tree_of, code)),
     )
     return "-".join(parts)
 
@@ -83,9 +86,8 @@ def _bytes_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _digest(digests: Iterable[tuple[Path, str]]) -> str:
-    lines = sorted(f"{path.relative_to(ROOT).as_posix()} {digest}\n" for path, digest in digests)
-    return hashlib.sha256("".join(lines).encode()).hexdigest()[:DIGITS]
+def _digest(digests: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(sorted(digests)).encode()).hexdigest()[:DIGITS]
 
 
 def _words(value: object) -> Iterator[str]:
@@ -107,7 +109,9 @@ def _words(value: object) -> Iterator[str]:
 
 
 def _says_nothing(node: object, parent: ast.AST) -> bool:
-    """Whether a node is a docstring, or an empty piece of an f-string."""
+    """Whether a node is an import, a docstring, or an empty piece of an f-string."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return True
     if isinstance(node, ast.Expr):
         return isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
     return isinstance(parent, ast.JoinedStr) and isinstance(node, ast.Constant) and node.value == ""

@@ -197,6 +197,7 @@ PAGES = {
     "faults": Page({"": "tools.faults table"}, code=SERVED),
 }
 OLDER = (
+    "strangers",
     "objects",
     "drag",
     "sigma",

@@ -17,12 +17,12 @@ import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import calibrate
 from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
+from tacshade_edge.lab.parallel import workers
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.simulator.hand import Finger, HandScript, Placement, follow, lathed
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import Calibration
 
 HAND_ID: Final = "demo"

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from types import MappingProxyType
 
@@ -36,6 +36,7 @@ from tacshade_edge.fitting.prints import (
     TRIANGLES,
     WHITE_TIP_DEVIATIONS,
     Found,
+    Kind,
     Problem,
     WhiteMap,
     base_model,
@@ -45,8 +46,9 @@ from tacshade_edge.fitting.prints import (
     sharpness,
     tips_px,
 )
+from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.render import reach_mm
-from tacshade_edge.types import F32, F64, Calibration
+from tacshade_edge.types import F32, F64, Bool, Calibration
 
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
 STEPS = np.array((0.06, 0.012, 0.012, 0.015))
@@ -59,6 +61,8 @@ MERGED, APART = 0.5, 0.28
 hardly do. With a free size, fits of merged ones stop in minima of other prints.
 """
 STARTS, FINISHED = 2, 3
+MARKER = 3
+"""The place of the markers' size among the values."""
 BLUR_STEP_PX = 0.08
 BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0.012, 0.018, 0.06)))
 """Half the widths of the boxes in which sizes and blur are drawn (`quadratic`): lengths, tips,
@@ -76,6 +80,8 @@ FLATTEST, FARTHEST, LEAST_PINS = 0.02, 1.2, 12
 """The least curvature of a quadratic, as a part of its greatest, and the farthest step,
 in halves of a box.
 """
+Begun = tuple[tuple[F64, float, F64], Problem]
+"""The values, their cost, the last Jacobian; and what was solved."""
 
 
 def identify(
@@ -85,84 +91,147 @@ def identify(
 
     `stated` holds sizes in mm that are known: ``pitch_mm``, and `PARAMETERS` in mm.
     """
-    base, white = base_model(calibration), WhiteMap(calibration)
-    base = replace(base, pitch_mm=stated.get("pitch_mm", base.pitch_mm))
-    sizes = [stated.get(name.replace("_pitches", "_mm")) for name in PARAMETERS]
-    known = {k: size / base.pitch_mm for k, size in enumerate(sizes) if size is not None}
-    reference = white.reference()
-    light, darkness = seen_light(calibration)
-    base = replace(
-        base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6)
-    )
-    dark, tips = find_tips(calibration, False, NOMINAL_PITCHES), find_tips(calibration, True, 0.7)
-    lattice = find_lattice(calibration, dark, NOMINAL_PITCHES)
-    disc = calibration.geometry.disc
-    size = calibration.image_height_px, calibration.image_width_px
-    middle = disc_mask(*size, replace(disc, radius_px=0.9 * disc.radius_px))
-    sharp, blur_px = sharpness(calibration.reference_grey, middle), max(0.7, disc.radius_px / 300)
-    e = 0.02 * base.pitch_mm
-    begun = []
+    seen = _Seen.of(calibration, stated)
+    begun: list[Begun] = []
     for kind in KINDS:
-        merge = kind.marker_parts == TRIANGLES and 3 not in known
-        if kind.white_tips and len(tips) > 12:
-            seen_at, place = Tips(tips), np.zeros(0)
-            lengths, others, first = [0.6], (0.25, 0.25, 0.4), (0, 1, 2)
-        elif lattice is not None and not kind.white_tips:
-            seen_at, place = None, lattice.values
-            lengths, others, first = (
-                [1.1, 1.6, 2.0],
-                (0.35, 0.28, MERGED if merge else 0.45),
-                (0, 1, 3),
-            )
-        else:
-            continue
-        problem = Problem(
-            white, reference, calibration.pitch_px, sharp, middle, light, base, kind, seen_at
-        )
-        starts = [np.array((length, *others, *place, blur_px)) for length in lengths]
-        for start in starts:
-            start[list(known)] = list(known.values())
-        reach = np.array((*[99.0] * 6, 0.3))[: len(place)]
-        limits = (
-            np.array(
-                (*STEPS, *(e, e, e / 8, e / 8, e / 8, e / 8, 0.004)[: len(place)], BLUR_STEP_PX)
-            ),
-            np.array((*LOWEST, *-reach, BLURS_PX[0])),
-            np.array((*HIGHEST, *reach, BLURS_PX[1])),
-        )
-        every = [k for k in (*first, *range(4, len(starts[0]))) if k not in known]
-        free = [k for k in every if not merge or k != 3]
-        rough, finer = problem.against(2.0), problem.against(1.0)
-        starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
-        if not problem.tips:
-            markers = (MERGED,) if merge else MARKERS
-            starts += [
-                _resized(each, (*sizes, m), known)
-                for each in starts
-                for sizes in SIZES
-                for m in markers
-            ]
-        starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
-        fits = [levenberg(finer, each, free, *limits, 4) for each in starts[:STARTS]]
-        fit = min(fits, key=lambda fit: fit[1])
-        begun.append((fit, problem))
-        if merge:
-            apart = fit[0].copy()
-            apart[3] = APART
-            begun.append((levenberg(finer, apart, every, *limits, 4), problem))
+        begun += _begun(seen, kind)
     begun.sort(key=lambda each: each[0][1])
-    spread, cells = float(reference[white.inside].std()), int(np.count_nonzero(white.inside))
+    spread = float(seen.reference[seen.white.inside].std())
+    cells = int(np.count_nonzero(seen.white.inside))
     made = []
     for (values, _, _), problem in begun[:FINISHED]:
-        free = [k for k in (0, 1, 2, len(values) - 1) if k not in known]
+        free = [k for k in (0, 1, 2, len(values) - 1) if k not in seen.known]
         values, covariance = refined(problem, values, free)
         unexplained = problem.against(0.0)(values)
         residual = math.sqrt(float(unexplained @ unexplained) / cells) / spread
         deviations = WHITE_TIP_DEVIATIONS if problem.kind.white_tips else DEVIATIONS
         made.append(
-            Found(problem.kind, values, covariance, residual, problem.tips, base, light, deviations)
+            Found(
+                problem.kind,
+                values,
+                covariance,
+                residual,
+                problem.tips,
+                seen.base,
+                seen.light,
+                deviations,
+            )
         )
     return sorted(made, key=lambda each: each.residual)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What a reference shows before a kind of print is fitted.
+
+    `known`: values that the user stated, by their places. `dark`: where dark pins form a lattice.
+    `tips`: of white pins.
+    """
+
+    calibration: Calibration
+    base: SensorModel
+    known: dict[int, float]
+    white: WhiteMap
+    reference: F32
+    light: F32
+    dark: Lattice | None
+    tips: F64
+    middle: Bool
+    sharp: float
+
+    @classmethod
+    def of(cls, calibration: Calibration, stated: Mapping[str, float]) -> _Seen:
+        """Look at a sensor's reference."""
+        base, white = base_model(calibration), WhiteMap(calibration)
+        base = replace(base, pitch_mm=stated.get("pitch_mm", base.pitch_mm))
+        sizes = [stated.get(name.replace("_pitches", "_mm")) for name in PARAMETERS]
+        light, darkness = seen_light(calibration)
+        base = replace(
+            base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6)
+        )
+        pins = find_tips(calibration, False, NOMINAL_PITCHES)
+        disc = calibration.geometry.disc
+        size = calibration.image_height_px, calibration.image_width_px
+        middle = disc_mask(*size, replace(disc, radius_px=0.9 * disc.radius_px))
+        return cls(
+            calibration,
+            base,
+            {k: size / base.pitch_mm for k, size in enumerate(sizes) if size is not None},
+            white,
+            white.reference(),
+            light,
+            find_lattice(calibration, pins, NOMINAL_PITCHES),
+            find_tips(calibration, True, 0.7),
+            middle,
+            sharpness(calibration.reference_grey, middle),
+        )
+
+    def problem(self, kind: Kind, tips: Tips | None) -> Problem:
+        """The problem of a kind of print."""
+        pitch_px = self.calibration.pitch_px
+        return Problem(
+            self.white,
+            self.reference,
+            pitch_px,
+            self.sharp,
+            self.middle,
+            self.light,
+            self.base,
+            kind,
+            tips,
+        )
+
+
+def _begun(seen: _Seen, kind: Kind) -> list[Begun]:
+    """Fit a kind of print from several starts; none if the reference does not show such pins."""
+    merge = kind.marker_parts == TRIANGLES and MARKER not in seen.known
+    if kind.white_tips and len(seen.tips) > LEAST_PINS:
+        tips, place = Tips(seen.tips), np.zeros(0)
+        lengths, others, first = [0.6], (0.25, 0.25, 0.4), (0, 1, 2)
+    elif seen.dark is not None and not kind.white_tips:
+        tips, place = None, seen.dark.values
+        marker = MERGED if merge else 0.45
+        lengths, others, first = [1.1, 1.6, 2.0], (0.35, 0.28, marker), (0, 1, MARKER)
+    else:
+        return []
+    blur_px = max(0.7, seen.calibration.geometry.disc.radius_px / 300)
+    starts = [np.array((length, *others, *place, blur_px)) for length in lengths]
+    for start in starts:
+        start[list(seen.known)] = list(seen.known.values())
+    every = [k for k in (*first, *range(4, len(starts[0]))) if k not in seen.known]
+    free = [k for k in every if not merge or k != MARKER]
+    problem, limits = seen.problem(kind, tips), _limits(seen.base, len(place))
+    rough, finer = problem.against(2.0), problem.against(1.0)
+    starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
+    if not problem.tips:
+        markers = (MERGED,) if merge else MARKERS
+        starts += [
+            _resized(each, (*sizes, marker), seen.known)
+            for each in starts
+            for sizes in SIZES
+            for marker in markers
+        ]
+    starts.sort(key=lambda each: float(np.square(finer(each)).sum()))
+    fits = [levenberg(finer, each, free, *limits, 4) for each in starts[:STARTS]]
+    fit = min(fits, key=lambda fit: fit[1])
+    begun = [(fit, problem)]
+    if merge:
+        apart = fit[0].copy()
+        apart[MARKER] = APART
+        begun.append((levenberg(finer, apart, every, *limits, 4), problem))
+    return begun
+
+
+def _limits(base: SensorModel, place: int) -> tuple[F64, F64, F64]:
+    """Steps, least and greatest values of sizes, the `place` values of a lattice, and blur."""
+    e = 0.02 * base.pitch_mm
+    reach = np.array((*[99.0] * 6, 0.3))[:place]
+    lattice = (e, e, e / 8, e / 8, e / 8, e / 8, 0.004)[:place]
+    return (
+        np.array((*STEPS, *lattice, BLUR_STEP_PX)),
+        np.array((*LOWEST, *-reach, BLURS_PX[0])),
+        np.array((*HIGHEST, *reach, BLURS_PX[1])),
+    )
 
 
 def refined(problem: Problem, values: F64, free: Sequence[int]) -> tuple[F64, F64]:

@@ -14,16 +14,16 @@ from tacshade_edge.core.calibration import refit
 from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.refit import error_scale, errors_in_sigma, placed_press
 from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import LearnedSolver
-from tacshade_edge.core.geometry.disc_map import rays_in_image
+from tacshade_edge.core.depth.learned import Inverse, LearnedSolver
+from tacshade_edge.core.geometry.disc_map import map_grid, rays_in_image
 from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import PROFILES, Profile
 from tacshade_edge.fitting import training
 from tacshade_edge.fitting.explained import Choice
-from tacshade_edge.fitting.training import TorchNetwork
+from tacshade_edge.fitting.torch_network import TorchNetwork
 from tacshade_edge.fitting.twin import Frames
 from tacshade_edge.inference.network import load_network, shipped_layout
-from tacshade_edge.types import F32, Calibration, FittedNetwork
+from tacshade_edge.types import F32, Bool, Calibration, FittedNetwork
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,67 +48,101 @@ class OnPresses:
         return float(np.mean(list(self.errors_mm.values())))
 
 
-def on_presses(
-    calibration: Calibration,
-    profile: Profile,
-    network: Network,
-    presses: Sequence[KnownPress],
-    factor: float | None = None,
-) -> OnPresses:
-    """Measure a network on presses, with the factor on h that it has,
-    or with one that they show.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A press as a network sees it: the indenter's name, its weight and factor
+    (`refit.press_factor`), the answer, its height, the true one, and the cells where both are
+    known.
     """
-    geometry, preprocessor = calibration.geometry, Preprocessor(calibration, profile)
-    solver = LearnedSolver(preprocessor, network)
-    inside = rays_in_image(solver.grid, calibration).inside
-    seen = []
-    for press in presses:
-        inverse = solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        at = placed_press(geometry, inverse, press)
-        if at is None or (row := refit.press_factor(inverse, geometry, at)) is None:
-            continue
-        truth, use = refit.known_cells(inverse, geometry, at)
-        use &= inside
-        if np.count_nonzero(use) < refit.LEAST_CELLS:
-            continue
-        height = np.where(inside, np.maximum(np.nan_to_num(inverse.height_mm), 0), 0).astype(
-            np.float32
-        )
-        name = press.indenter.name if press.indenter else f"ball of radius {press.radius_mm:g} mm"
-        seen.append((name, row, inverse, height, truth, use))
-    names = dict.fromkeys(name for name, *_ in seen)
 
-    def errors(factors: Mapping[str, float]) -> dict[str, float]:
-        off: dict[str, list[float]] = {name: [] for name in names}
-        for name, _, _, height, truth, use in seen:
-            off[name].append(float(np.abs(factors[name] * height - truth)[use].mean()))
-        return {name: float(np.mean(each)) for name, each in off.items()}
+    name: str
+    row: tuple[float, float]
+    inverse: Inverse
+    height_mm: F32
+    true_mm: F32
+    known: Bool
 
-    factors = {
-        name: factor or refit.fit_factor([row for at, row, *_ in seen if at != name]) or 1.0
-        for name in names
-    }
-    plain, scaled = errors(dict.fromkeys(names, 1.0)), errors(factors)
-    gains = factor is not None or sum(scaled.values()) < sum(plain.values())
-    in_sigma = [
-        errors_in_sigma(
-            network.sigma,
-            np.float32(factors[name] if gains else 1) * height,
-            truth,
-            inverse.contact_logit,
-            inverse.untrusted_logit,
-            use,
-            geometry,
+
+class JudgingPresses:
+    """Presses prepared once for a profile, on which networks are measured."""
+
+    def __init__(
+        self, calibration: Calibration, profile: Profile, presses: Sequence[KnownPress]
+    ) -> None:
+        self._geometry = calibration.geometry
+        self._preprocessor = Preprocessor(calibration, profile)
+        grid = map_grid(calibration.geometry.disc, profile.cells)
+        self._inside = rays_in_image(grid, calibration).inside
+        look = self._preprocessor
+        self._prepared = [(press, look.preprocess(look.grey(press.image))) for press in presses]
+
+    def measure(self, network: Network, factor: float | None = None) -> OnPresses:
+        """Measure a network, with the factor on h that it has, or with one that presses show."""
+        seen = self._seen_by(network)
+        names = dict.fromkeys(each.name for each in seen)
+        factors = {
+            name: factor or refit.fit_factor([e.row for e in seen if e.name != name]) or 1.0
+            for name in names
+        }
+        plain, scaled = _errors(seen, dict.fromkeys(names, 1.0)), _errors(seen, factors)
+        gains = factor is not None or sum(scaled.values()) < sum(plain.values())
+        used = factors if gains else dict.fromkeys(names, 1.0)
+        own = (factor or refit.fit_factor([e.row for e in seen]) or 1.0) if gains else 1.0
+        return OnPresses(
+            errors_mm=scaled if gains else plain,
+            presses=len(seen),
+            factor=own,
+            error_scale=self._error_scale(network, seen, used),
         )
-        for name, _, inverse, height, truth, use in seen
-        if network.sigma is not None
-    ]
-    return OnPresses(
-        scaled if gains else plain,
-        len(seen),
-        (factor or refit.fit_factor([row for _, row, *_ in seen]) or 1.0) if gains else 1.0,
-        error_scale(network.sigma, in_sigma) if network.sigma is not None and in_sigma else None,
-    )
+
+    def _seen_by(self, network: Network) -> list[_Seen]:
+        solver, seen = LearnedSolver(self._preprocessor, network), []
+        for press, prepared in self._prepared:
+            inverse = solver.inverse(prepared)
+            at = placed_press(self._geometry, inverse, press)
+            if at is None or (row := refit.press_factor(inverse, self._geometry, at)) is None:
+                continue
+            true_mm, known = refit.known_cells(inverse, self._geometry, at)
+            known &= self._inside
+            if np.count_nonzero(known) < refit.LEAST_CELLS:
+                continue
+            found_mm = np.maximum(np.nan_to_num(inverse.height_mm), 0)
+            height_mm = np.where(self._inside, found_mm, 0).astype(np.float32)
+            ball = f"ball of radius {press.radius_mm:g} mm"
+            name = press.indenter.name if press.indenter else ball
+            seen.append(_Seen(name, row, inverse, height_mm, true_mm, known))
+        return seen
+
+    def _error_scale(
+        self, network: Network, seen: Sequence[_Seen], factors: Mapping[str, float]
+    ) -> float | None:
+        sigma = network.sigma
+        if sigma is None or not seen:
+            return None
+        return error_scale(
+            sigma,
+            [
+                errors_in_sigma(
+                    sigma,
+                    np.float32(factors[each.name]) * each.height_mm,
+                    each.true_mm,
+                    each.inverse.contact_logit,
+                    each.inverse.untrusted_logit,
+                    each.known,
+                    self._geometry,
+                )
+                for each in seen
+            ],
+        )
+
+
+def _errors(seen: Sequence[_Seen], factors: Mapping[str, float]) -> dict[str, float]:
+    """The mean error of h for each indenter, with its factor; mm."""
+    off: dict[str, list[float]] = {each.name: [] for each in seen}
+    for each in seen:
+        wrong_mm = np.abs(factors[each.name] * each.height_mm - each.true_mm)
+        off[each.name].append(float(wrong_mm[each.known].mean()))
+    return {name: float(np.mean(errors)) for name, errors in off.items()}
 
 
 PARTS = (0.25, 0.5, 0.75, 1.0)
@@ -127,8 +161,6 @@ CLEARLY, TOLERATED = 0.95, 1.1
 instead, and how much worse than the shipped network a fitted one may be on them: presses are few
 and of simple shapes, and none is dragged; what touches leave unexplained hardly ranks networks.
 """
-
-
 USUAL_LEFT = 0.6
 """The share of touches' changes that maps leave unexplained where σ of the shipped networks is
 right: layered skins of the working range leave 0.3, where 0.7 to 0.95 times σ holds 90 %, an oblate
@@ -247,10 +279,11 @@ def judged(
 
     if presses:
         own = calibration.factors.get(name, 1.0)
-        before = on_presses(calibration, PROFILES[name], load_network(name), presses, own)
+        pressed = JudgingPresses(calibration, PROFILES[name], presses)
+        before = pressed.measure(load_network(name), own)
         if before.errors_mm:
             made = {part: part_of_the_way(part) for part in PARTS}
-            return _by_presses(calibration, presses, before, name, made, alone)
+            return _by_presses(pressed, before, name, made, alone)
     if touches is not None:
         made = {part: part_of_the_way(part) for part in PARTS}
         return _by_touches(calibration, touches, name, made, alone)
@@ -259,8 +292,7 @@ def judged(
 
 
 def _by_presses(
-    calibration: Calibration,
-    presses: Sequence[KnownPress],
+    presses: JudgingPresses,
     before: OnPresses,
     name: str,
     made: Mapping[float, FittedNetwork],
@@ -268,7 +300,7 @@ def _by_presses(
 ) -> tuple[FittedNetwork, NetworkReport]:
     tried = {}
     for part, fitted in made.items():
-        after = on_presses(calibration, PROFILES[name], load_network(name, fitted), presses)
+        after = presses.measure(load_network(name, fitted))
         found_mm = after.mean_mm if after.presses >= before.presses else None
         shipped_mm = fitted.shipped_error_mm
         report = NetworkReport(

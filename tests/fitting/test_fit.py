@@ -52,11 +52,11 @@ def short_fit(
     monkeypatch: pytest.MonkeyPatch, said: list[str], folder: Path | None = None, steps: int = 3
 ) -> FitResult:
     from tacshade_edge.fitting import fit as module
+    from tacshade_edge.fitting.work import Effort
 
-    monkeypatch.setattr(
-        module, "FULL", module.Effort(batches=2, held_out=1, skins=2, views=1, steps=steps)
-    )
-    monkeypatch.setattr(module, "_SAY_S", 0.05)
+    short = Effort(batches=2, held_out=1, skins=2, views=1, steps=steps)
+    monkeypatch.setattr(module, "FULL", short)
+    monkeypatch.setattr("tacshade_edge.fitting.work._SAY_S", 0.05)
     monkeypatch.setattr(module, "identify", lambda *_: found_prints())
     say = said.append if isinstance(said, list) else said
     return module.fit(without_presses(), [], say, {"pin_length_mm": PIN_LENGTH_MM}, folder)
@@ -128,13 +128,14 @@ def test_a_reference_that_no_print_explains_is_not_fitted_without_touches(
     monkeypatch: pytest.MonkeyPatch, residual: float | None
 ) -> None:
     from tacshade_edge.fitting import fit as module
+    from tacshade_edge.fitting.words import MORE_TOUCHES
 
     found = [] if residual is None else [replace(found_prints()[0], residual=residual)]
     monkeypatch.setattr(module, "identify", lambda *_: found)
     result = module.fit(without_presses(), [], lambda _: None)
     assert not result.calibration.fitted
     assert "nothing is fitted" in result.found[0]
-    assert result.advice == (module.MORE_TOUCHES,)
+    assert result.advice == (MORE_TOUCHES,)
 
 
 def test_touches_that_no_print_explains_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +185,7 @@ def test_a_stated_print_that_the_reference_contradicts_is_not_fitted(
 def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
     import torch
 
-    from tacshade_edge.fitting.training import TorchNetwork
+    from tacshade_edge.fitting.torch_network import TorchNetwork
 
     shipped = float_network(name, tmp_path)
     rng, side, folded = (
@@ -209,7 +210,7 @@ def test_it_computes_what_onnx_runtime_does(name: str, tmp_path: Path) -> None:
 
 
 def test_weights_are_loaded_in_their_order() -> None:
-    from tacshade_edge.fitting.training import TorchNetwork
+    from tacshade_edge.fitting.torch_network import TorchNetwork
 
     network = TorchNetwork("fast")
     doubled = 2 * network.flat()

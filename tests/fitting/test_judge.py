@@ -68,21 +68,20 @@ def _report(*errors: float | None) -> NetworkReport:
 
 
 def test_presses_of_a_fitted_sensor_are_judged_as_stated() -> None:
-    from tacshade_edge.fitting.judge import on_presses
+    from tacshade_edge.fitting.judge import JudgingPresses
     from tacshade_edge.inference.network import load_network
 
-    found = on_presses(calibrated(), PROFILES["fast"], load_network("fast"), presses()[:6])
+    own = JudgingPresses(calibrated(), PROFILES["fast"], presses()[:6])
+    found = own.measure(load_network("fast"))
     assert found.presses == 6
     assert 0 < found.mean_mm < 0.6
     assert found.error_scale is not None
-    none = on_presses(
-        calibrated(), PROFILES["fast"], replace(load_network("fast"), sigma=None), presses()[:1]
-    )
+    none = own.measure(replace(load_network("fast"), sigma=None))
     assert none.error_scale is None
 
 
 def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() -> None:
-    from tacshade_edge.fitting.judge import on_presses
+    from tacshade_edge.fitting.judge import JudgingPresses
     from tacshade_edge.inference.network import load_network
 
     network = load_network("fast")
@@ -93,13 +92,13 @@ def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() 
 
     halved = replace(network, run=shallow)
     own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
-    alike = on_presses(calibrated(), PROFILES["fast"], halved, own)
+    judging = JudgingPresses(calibrated(), PROFILES["fast"], own)
+    alike = judging.measure(halved)
     assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
-    assert (
-        on_presses(calibrated(), PROFILES["fast"], halved, own, 2.0).mean_mm < 0.6 * alike.mean_mm
-    )
+    assert judging.measure(halved, 2.0).mean_mm < 0.6 * alike.mean_mm
     others = [replace(press, radius_mm=5.1) for press in own[6:]]
-    found = on_presses(calibrated(), PROFILES["fast"], halved, [*own[:6], *others])
+    mixed = JudgingPresses(calibrated(), PROFILES["fast"], [*own[:6], *others])
+    found = mixed.measure(halved)
     assert (len(found.errors_mm), found.presses) == (2, 12)
     assert found.factor == pytest.approx(2, rel=0.2)
     assert found.mean_mm < 0.5 * alike.mean_mm

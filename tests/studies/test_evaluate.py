@@ -16,6 +16,7 @@ from support.published_sensor import unmeasured
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.simulator.model import random_model
 from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.labelled import (
@@ -41,7 +42,6 @@ from tacshade_edge.studies.evaluate.work import (
     places,
     scenes,
 )
-from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tables import csv_text
 
 

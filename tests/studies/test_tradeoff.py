@@ -20,8 +20,8 @@ from support.trade_points import row
 
 from tacshade_edge.cli import main
 from tacshade_edge.core.image.white import halved
+from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.studies.evaluate.score import KnownTruth
-from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.studies.tradeoff import measure, report
 from tacshade_edge.studies.tradeoff.measure import (
     OUTPUTS,

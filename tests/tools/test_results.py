@@ -15,6 +15,7 @@ from tools.results import OLDER, PAGES, Page
 ROOT = results.ROOT
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 WITHOUT_FINGERPRINT = {
+    "strangers",
     "objects",
     "drag",
     "sigma",
@@ -56,12 +57,13 @@ def test_every_page_is_known_and_the_list_of_older_ones_does_not_grow() -> None:
         (PROGRAM.replace("\n\n\n", "\n\n# A comment.\n"), True),
         (PROGRAM.replace('+ ""', '+ (\n        ""\n    )'), True),
         (PROGRAM + '"""What `half` is for."""\n', True),
+        (PROGRAM.replace("\n\n\n", "\n\nfrom math import pi\n\n", 1), True),
         (PROGRAM.replace("x / 2", "x / 3"), False),
         (PROGRAM.replace("{1}", "{2}"), False),
         (PROGRAM.replace('+ ""', '+ "a"'), False),
     ],
 )
-def test_neither_format_nor_documentation_changes_a_tree(
+def test_neither_format_nor_documentation_nor_imports_change_a_tree(
     tmp_path: Path, text: str, same: bool
 ) -> None:
     (tmp_path / "one.py").write_text(PROGRAM)

@@ -36,12 +36,12 @@ from tacshade_edge.core.geometry.disc_map import skin_scale
 from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.inference.network import load_networks
+from tacshade_edge.lab.parallel import workers
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
 from tacshade_edge.simulator.press import Press, ball
 from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import U8
 from tools.studies import command
 from tools.testbed.simulator import bad_pictures

@@ -18,10 +18,10 @@ from tacshade_edge.core.calibration.inputs import KnownPress
 from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
+from tacshade_edge.lab.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, SensorName, calibrate_sensors
-from tacshade_edge.studies.parallel import Report, Workers, reported_map, workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import U8, Calibration
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors

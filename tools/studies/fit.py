@@ -51,6 +51,7 @@ from tacshade_edge.fitting.identify import identify
 from tacshade_edge.fitting.prints import PARAMETERS
 from tacshade_edge.fitting.twin import Mechanics
 from tacshade_edge.inference.network import load_networks, make_reconstructor
+from tacshade_edge.lab.parallel import reported_map, workers
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
 from tacshade_edge.storage.calibration import calibration_file
@@ -64,7 +65,6 @@ from tacshade_edge.studies.evaluate.work import (
     SensorName,
     scenes,
 )
-from tacshade_edge.studies.parallel import reported_map, workers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.studies import command

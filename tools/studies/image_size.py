@@ -23,6 +23,7 @@ import numpy as np
 
 from tacshade_edge.core.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.lab.parallel import Report, Workers, reported_map
 from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame
 from tacshade_edge.studies.evaluate.score import score
@@ -36,7 +37,6 @@ from tacshade_edge.studies.evaluate.work import (
     reconstructor,
     scenes,
 )
-from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Frame
 from tools.studies import command

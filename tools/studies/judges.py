@@ -32,12 +32,12 @@ from tacshade_edge.core.frame_check import Measured
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.doctor.pictures import limits_of
+from tacshade_edge.lab.parallel import reported_map, workers
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import random_model, tactip
 from tacshade_edge.simulator.press import OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedSensor
 from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName, reconstructor
-from tacshade_edge.studies.parallel import reported_map, workers
 from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
 from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact

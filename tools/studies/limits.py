@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.lab.parallel import Report, Workers, reported_map
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel
@@ -35,7 +36,6 @@ from tacshade_edge.studies.evaluate.work import (
     calibrated_sensor,
     reconstructor,
 )
-from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.studies.tables import grouped, markdown, summary
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command

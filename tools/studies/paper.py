@@ -24,11 +24,11 @@ import numpy as np
 from tacshade_edge.cli.shared import study
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.lab.parallel import Report, Workers
 from tacshade_edge.simulator.press import PAPER_OBJECTS
 from tacshade_edge.studies.evaluate.report import PAPER_ROW, TABLE_I
 from tacshade_edge.studies.evaluate.score import score, score_cloud
 from tacshade_edge.studies.evaluate.work import Case, SensorName, family_of, press_cases, scenes
-from tacshade_edge.studies.parallel import Report, Workers
 from tacshade_edge.studies.tables import grouped, markdown
 from tacshade_edge.types import Calibration, Frame
 from tools.studies import command

@@ -35,6 +35,7 @@ from tacshade_edge.core.image.preprocess import Preprocessor
 from tacshade_edge.core.profiles import LADDER, PROFILES
 from tacshade_edge.core.reconstruct import no_mark
 from tacshade_edge.inference.network import WEIGHTS, load_networks
+from tacshade_edge.lab.parallel import workers
 from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.studies.evaluate.work import (
     PRESS_NOISE,
@@ -43,7 +44,6 @@ from tacshade_edge.studies.evaluate.work import (
     REFERENCES,
     SensorName,
 )
-from tacshade_edge.studies.parallel import workers
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies import command
 from tools.studies.sigma import NOISE, presses, true_height_mm

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from tacshade_edge.cli.shared.options import add_cluster
-from tacshade_edge.studies.parallel import workers
+from tacshade_edge.lab.parallel import workers
 from tools.studies import command
 from tools.training.outside import VIEWS
 from tools.training.samples import sensor_samples, shards

@@ -16,6 +16,7 @@ from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.factories import calibrations
+from tacshade_edge.lab.parallel import workers
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
 from tacshade_edge.simulator.press import OBJECTS
@@ -32,7 +33,6 @@ from tacshade_edge.studies.evaluate.work import (
     reconstructor,
     score_cases,
 )
-from tacshade_edge.studies.parallel import workers
 from tacshade_edge.studies.tables import csv_text
 from tacshade_edge.types import Frame
 

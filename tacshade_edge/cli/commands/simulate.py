@@ -25,6 +25,7 @@ from tacshade_edge.cli.shared.options import (
 )
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.lab.parallel import reported_map, workers
 from tacshade_edge.quoting import counted
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.simulator import pad as pads
@@ -36,7 +37,6 @@ from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.atomic_files import disk_errors
 from tacshade_edge.storage.images import png
 from tacshade_edge.storage.tables import frame_table, presses
-from tacshade_edge.studies.parallel import reported_map, workers
 from tacshade_edge.types import Skin
 
 MODELS = ("default", "tacshade")

@@ -22,6 +22,7 @@ from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.factories import calibrations
+from tacshade_edge.lab.parallel import usable_cores, workers
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
 from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
@@ -31,7 +32,6 @@ from tacshade_edge.studies.evaluate.work import (
     REFERENCES,
     calibrate_sensors,
 )
-from tacshade_edge.studies.parallel import usable_cores, workers
 from tacshade_edge.studies.tradeoff import report
 from tacshade_edge.studies.tradeoff.measure import (
     OUTPUTS,

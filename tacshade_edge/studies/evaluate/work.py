@@ -22,6 +22,7 @@ from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.inference.network import load_networks, make_reconstructor
+from tacshade_edge.lab.parallel import Report, Workers, reported_map
 from tacshade_edge.quoting import encodable
 from tacshade_edge.simulator import camera_faults
 from tacshade_edge.simulator.model import SensorModel, random_model
@@ -30,7 +31,6 @@ from tacshade_edge.simulator.script import ball_presses
 from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.storage.images import read_image
 from tacshade_edge.studies.evaluate.score import NOTHING, KnownTruth, Label, Row, read_truth, score
-from tacshade_edge.studies.parallel import Report, Workers, reported_map
 from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES, PRESSES = 8, 40

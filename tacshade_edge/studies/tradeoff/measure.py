@@ -20,6 +20,7 @@ from tacshade_edge.core.image.white import halved
 from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.inference.network import make_reconstructor, runtime
+from tacshade_edge.lab.parallel import Report, Workers, processes, reported_map
 from tacshade_edge.protocol import messages, wire
 from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score_cloud
 from tacshade_edge.studies.evaluate.work import (
@@ -31,7 +32,6 @@ from tacshade_edge.studies.evaluate.work import (
     one_thread,
     scenes,
 )
-from tacshade_edge.studies.parallel import Report, Workers, processes, reported_map
 from tacshade_edge.types import F64, U8, Bool, Calibration, Frame, Need, Reconstruction
 
 NULL_FRAMES = 10

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.lab.parallel import usable_cores
 from tacshade_edge.quoting import counted
 from tacshade_edge.studies import tables
 from tacshade_edge.studies.evaluate.report import versions
-from tacshade_edge.studies.parallel import usable_cores
 from tacshade_edge.studies.tables import number
 from tacshade_edge.studies.tradeoff.measure import OUTPUTS, Estimate, Row, relative_errors
 

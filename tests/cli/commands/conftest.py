@@ -14,10 +14,10 @@ import yaml
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 from tacshade_edge.cli.commands import simulate
+from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.simulator.model import SensorModel
 from tacshade_edge.simulator.pad import Bar, Pad
 from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.parallel import ThisProcess
 from tacshade_edge.types import RestLimits
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.studies.parallel import processes, usable_cores, workers
+from tacshade_edge.lab.parallel import processes, usable_cores, workers
 from tools.testbed.patience import patience, wait_until
 
 
@@ -66,7 +66,7 @@ def alive(pid: int) -> bool:
 
 SCRIPT = """
 import os, time
-from tacshade_edge.studies.parallel import processes, usable_cores
+from tacshade_edge.lab.parallel import processes, usable_cores
 
 def work(task):
     os.write(1, f"{os.getpid()}\\n".encode())  # at once: the other worker writes too

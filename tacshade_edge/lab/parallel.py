@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 
@@ -19,6 +19,8 @@ from tacshade_edge.errors import DeviceError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+SPAWN = multiprocessing.get_context("spawn")
+"""How processes start here: fork would copy the locks of OpenCV's threads."""
 Report = Callable[[str, int, int], None]
 """A progress callback: receives the name of the counted items, the number done, and the total."""
 
@@ -52,7 +54,7 @@ def workers(cluster: str | None = None) -> Iterator[Workers]:
     here; the cluster runs another program).
     """
     if cluster is not None:
-        from tacshade_edge.studies.cluster import connected
+        from tacshade_edge.lab.cluster import connected
 
         with connected(cluster) as remote:
             yield remote
@@ -64,15 +66,24 @@ def workers(cluster: str | None = None) -> Iterator[Workers]:
 
 
 @contextlib.contextmanager
-def processes(*, fresh: bool = False) -> Iterator[Workers]:
-    """Start a process for each usable core, or, if `fresh`, for each job.
+def processes(
+    *,
+    fresh: bool = False,
+    most: int | None = None,
+    prepare: Callable[..., None] | None = None,
+    arguments: Sequence[Any] = (),
+) -> Iterator[ProcessPoolExecutor]:
+    """Start a process for each usable core, at most `most`, or, if `fresh`, for each job; each
+    calls ``prepare(*arguments)`` first.
 
     Raises DeviceError (a process was killed).
     """
-    context = multiprocessing.get_context("spawn")  # fork would copy OpenCV's threads' locks
-    reuse = 1 if fresh else None
     pool = ProcessPoolExecutor(
-        usable_cores(), mp_context=context, initializer=_start, max_tasks_per_child=reuse
+        most or usable_cores(),
+        mp_context=SPAWN,
+        initializer=_start,
+        initargs=(prepare, *arguments),
+        max_tasks_per_child=1 if fresh else None,
     )
     before, complete = multiprocessing.active_children(), False
     try:
@@ -105,8 +116,8 @@ def reported_map(
         yield result
 
 
-def _start() -> None:
-    """Limit a worker to one thread, and end it with the command, however that ends."""
+def _start(prepare: Callable[..., None] | None, *arguments: Any) -> None:
+    """Limit a worker to one thread, end it with the command, however that ends, and prepare it."""
     cv2.setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
@@ -117,3 +128,5 @@ def _start() -> None:
         os._exit(1)
 
     threading.Thread(target=follow, name="follow-parent", daemon=True).start()
+    if prepare is not None:
+        prepare(*arguments)

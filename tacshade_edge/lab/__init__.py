@@ -1,0 +1,1 @@
+"""What shows, simulates and measures: nothing that a running sensor needs."""
