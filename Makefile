@@ -9,7 +9,7 @@
 # make lock    newer wheels, on purpose: systemd/requirements.lock for boards, tools/ci/requirements.lock for tests
 # make bill    the bill of materials of the wheels for boards, into dist/
 # make test    everything, with the real broker and a guest with a real kernel's video devices
-# make test ONE=tests/core/test_depth.py   one file, folder or test (FILE::NAME) with what it needs, its output shown
+# make test ONE=tests/sensor/test_depth.py   one file, folder or test (FILE::NAME) with what it needs, its output shown
 # make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
 # make house   the rooms of the package: sizes, and who imports whom

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
     from tacshade_edge.library.frames import open, read, read_hand
-    from tacshade_edge.library.messages import decode, decode_file
     from tacshade_edge.library.result import Result, Results
+    from tacshade_edge.library.run_messages import decode, decode_file
     from tacshade_edge.library.sensor import Sensor, load
     from tacshade_edge.library.subscriber import listen
-    from tacshade_edge.protocol.topics import Finger, HandObject, HandObjects, Motion, Unobservable
-    from tacshade_edge.protocol.wire import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
+    from tacshade_edge.wire.binary import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
+    from tacshade_edge.wire.topics import Finger, HandObject, HandObjects, Motion, Unobservable
 
     __version__: str
 
@@ -57,11 +57,11 @@ _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
     "library.frames": ("open", "read", "read_hand"),
     "library.subscriber": ("listen",),
-    "library.messages": ("decode", "decode_file"),
+    "library.run_messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),
-    "protocol.topics": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
-    "protocol.wire": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
+    "wire.topics": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
+    "wire.binary": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
     "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
 }
 

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-WEIGHTS = ROOT / "tacshade_edge/inference/weights"
+WEIGHTS = ROOT / "tacshade_edge/sensor/inference/weights"
 GOLDEN = ROOT / "tests/golden"
 NETWORKS = ("fast", "balanced", "accurate")
 PARTS = ("networks", "golden results", "program")
@@ -24,11 +24,11 @@ DIGITS = 5
 FOLLOWED = (
     "tools/",
     "tacshade_edge/cli/commands/",
-    "tacshade_edge/fitting/",
+    "tacshade_edge/lab/fitting/",
     "tacshade_edge/lab/cluster",
     "tacshade_edge/lab/parallel",
-    "tacshade_edge/simulator/camera_faults",
-    "tacshade_edge/studies/",
+    "tacshade_edge/lab/simulator/camera_faults",
+    "tacshade_edge/lab/studies/",
 )
 """A program's imports from here belong to it; what else it imports is pinned
 by the golden results.
@@ -61,12 +61,14 @@ def changed(one: str, other: str) -> str:
 
 
 def imported(programs: Iterable[str]) -> set[Path]:
-    """Find the files of modules, and of all that they import from `FOLLOWED`, directly or not."""
+    """Find the files of modules, and of all that they import from `FOLLOWED`, directly or not,
+    but for this one, which says where they lie.
+    """
     found: set[Path] = set()
     waiting = [path for program in programs for path in _files_of(program)]
     while waiting:
         path = waiting.pop()
-        if path not in found:
+        if path not in found and path != Path(__file__):
             found.add(path)
             waiting += _imports_of(path.read_bytes())
     return found

@@ -46,10 +46,10 @@ FIT = "tools.studies.fit --folder out/fit/CODE --cases"
 """Its folder keeps finished cases, those of this CODE alone."""
 STRANGERS = "tools.studies.strangers.evaluate --states out/strangers --folder out/strangers/kept"
 THIRD = "tools.studies.third_family.evaluate --range"
-FRAME = ("tacshade_edge/core", "tacshade_edge/inference")
+FRAME = ("tacshade_edge/sensor", "tacshade_edge/sensor/inference")
 """What a frame passes."""
-SERVED = (*FRAME, "tacshade_edge/daemon", "tacshade_edge/devices", "tacshade_edge/protocol")
-JUDGES = ("tacshade_edge/core/frame_check",)
+SERVED = (*FRAME, "tacshade_edge/daemon", "tacshade_edge/devices", "tacshade_edge/wire")
+JUDGES = ("tacshade_edge/sensor/frame_check",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ PAGES = {
     "image-size": Page(
         {"": "tools.studies.image_size --final --profile balanced accurate"},
         profiles=("balanced", "accurate"),
-        code=("tacshade_edge/core/calibration",),
+        code=("tacshade_edge/calibration",),
     ),
     "daemon": Page(
         {"": "tools.benchmarks.daemon --seconds 60 --runs 2"},
@@ -131,7 +131,7 @@ PAGES = {
             ),
             "Taps of a tilted plane, 127 pins": f"{REAL} pins out/real/Tac-VGNN",
         },
-        code=(*JUDGES, "tacshade_edge/fitting"),
+        code=(*JUDGES, "tacshade_edge/lab/fitting"),
     ),
     "detection": Page(
         {
@@ -142,9 +142,9 @@ PAGES = {
         },
     ),
     "recognise": Page(
-        {"": "tools.studies.recognise --final"}, code=("tacshade_edge/core/recognition",)
+        {"": "tools.studies.recognise --final"}, code=("tacshade_edge/sensor/recognition",)
     ),
-    "slip": Page({"": "tools.studies.slip"}, code=("tacshade_edge/core/contact",)),
+    "slip": Page({"": "tools.studies.slip"}, code=("tacshade_edge/sensor/contact",)),
     "servo": Page(
         {"": "tools.examples.servo.bench"},
         code=SERVED,
@@ -190,7 +190,7 @@ PAGES = {
                 "--labels 4000 400 100"
             ),
         },
-        code=("tacshade_edge/core/touch",),
+        code=("tacshade_edge/sensor/touch",),
         drawn=("touch.png",),
     ),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),

@@ -6,8 +6,10 @@ The names listed here and the module `rigid` are public.
 from .errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from .listener import Listener, listen
 from .messages import Message, decode_message, skin_mm
-from .protocol.codec import decode_object
-from .protocol.topics import (
+from .rigid import Rigid, from_seven
+from .types import Geometry, Pose
+from .wire.codec import decode_object
+from .wire.topics import (
     Contact,
     ContactEvent,
     Finger,
@@ -37,9 +39,7 @@ from .protocol.topics import (
     decode_status,
     decode_touch,
 )
-from .protocol.wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
-from .rigid import Rigid, from_seven
-from .types import Geometry, Pose
+from .wire.wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
 
 __all__ = [
     "CloudMessage",

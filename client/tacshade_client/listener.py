@@ -22,10 +22,10 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from .errors import ConfigError, DecodeError, DeviceError
 from .messages import Message, decode_message
-from .protocol.broker_address import host_and_port
-from .protocol.topics import OF_HANDS, OF_SENSORS
 from .quoting import quoted
 from .reasons import ReasonCode
+from .wire.broker_address import host_and_port
+from .wire.topics import OF_HANDS, OF_SENSORS
 
 _log = logging.getLogger(__name__)
 

@@ -6,12 +6,12 @@ import re
 from dataclasses import dataclass
 from typing import Any, Final
 
-from .core.geometry.disc import Grid, disc_rays, skin_points
 from .errors import DecodeError
-from .protocol.topics import OF_HANDS, OF_SENSORS, InfoGeometry
-from .protocol.wire_format import HeightMessage
 from .quoting import shown
+from .sensor.geometry.disc import Grid, disc_rays, skin_points
 from .types import F32
+from .wire.topics import OF_HANDS, OF_SENSORS, InfoGeometry
+from .wire.wire_format import HeightMessage
 
 _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z0-9_-]{1,64})/(.+)")
 

@@ -24,11 +24,13 @@ from foxglove.messages import (
 from tacshade_edge.bridge import foxglove_messages as made
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.bridge.viewers import MESSAGE_BYTES_MAX, Schema, Viewers
-from tacshade_edge.core.geometry.disc import Grid
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.messages import TOUCH_SCHEMA
-from tacshade_edge.protocol.topics import (
+from tacshade_edge.quoting import escaped
+from tacshade_edge.sensor.geometry.disc import Grid
+from tacshade_edge.wire.binary import CloudMessage, HeightMessage
+from tacshade_edge.wire.codec import encode_json
+from tacshade_edge.wire.messages import TOUCH_SCHEMA
+from tacshade_edge.wire.topics import (
     ALIVE,
     OF_SENSORS,
     Info,
@@ -38,8 +40,6 @@ from tacshade_edge.protocol.topics import (
     decode_state,
     decode_status,
 )
-from tacshade_edge.protocol.wire import CloudMessage, HeightMessage
-from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 

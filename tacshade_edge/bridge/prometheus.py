@@ -16,9 +16,9 @@ from prometheus_client import CollectorRegistry, Metric, MetricsHandler
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from tacshade_edge.bridge.roster import Refusals, Roster
-from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.topics import ALIVE, STATES, Health, State, decode_health, decode_state
+from tacshade_edge.listener import Connections, Listener
+from tacshade_edge.wire.topics import ALIVE, STATES, Health, State, decode_health, decode_state
 
 FRESH_S: Final = 5.0
 """Age at which a sensor's `health`, published once a second, is out of date."""

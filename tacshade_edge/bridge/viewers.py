@@ -26,9 +26,9 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from tacshade_edge.devices.listener import Connections, Listener
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.codec import decode_object
+from tacshade_edge.listener import Connections, Listener
+from tacshade_edge.wire.codec import decode_object
 
 _log = logging.getLogger(__name__)
 

@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow
+from tacshade_edge.calibration.reference.references import block_means
 from tacshade_edge.capture.change import ChangeFromRest
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import RobotLabels
-from tacshade_edge.capture.scale import ClockOffset, Press, Scale, find_offset, force_at
-from tacshade_edge.core.calibration.reference.references import block_means
-from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.capture.scale import ClockOffset, Scale, ScalePress, find_offset, force_at
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files.tables import number
 from tacshade_edge.quoting import counted
-from tacshade_edge.storage.tables.labels import LabelFolder, LabelRow
-from tacshade_edge.storage.tables.tables import number
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import QUANTITIES, Frame
 
 _REST_S = 3.0
@@ -54,7 +54,7 @@ class LabelSession:
 
     def __post_init__(self) -> None:
         self._rows = self.folder.rows()
-        self._presses: dict[str, Press] = {}  # this run's presses by group
+        self._presses: dict[str, ScalePress] = {}  # this run's presses by group
         self._rest = ChangeFromRest([np.zeros((1, 1), np.float32)])
         self._tare_n = 0.0
         self._unaligned = self._unposed = ""
@@ -166,7 +166,7 @@ class LabelSession:
             self.terminal.say("  not taken: the picture shows no contact")
             return
         t_s, changes = np.array(seen).T
-        self._presses[group] = Press(t_s, changes)
+        self._presses[group] = ScalePress(t_s, changes)
         self._keep([replace(row, known=known) for row, known in zip(rows, posed, strict=True)])
 
     def _robot_labels(self, frame: Frame) -> dict[str, float]:

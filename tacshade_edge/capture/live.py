@@ -16,17 +16,17 @@ from typing import Final, TextIO
 import cv2
 import numpy as np
 
-from tacshade_edge.capture.page import Page, Shown
-from tacshade_edge.core.calibration.reference.pattern import Pattern, find_pattern, view
-from tacshade_edge.core.calibration.reference.references import (
+from tacshade_edge.calibration.reference.pattern import Pattern, find_pattern, view
+from tacshade_edge.calibration.reference.references import (
     REST_MOST_GREY,
     block_means,
     motion_grey,
     stands_still,
 )
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.camera.frame_source import FrameSource
+from tacshade_edge.capture.page import Page, Shown
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import F32, U8, Disc, Frame
 
 _CLEAR: Final = "\r\x1b[K"

@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.core.calibration.indenters import skin_z_mm
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.machine import FixedIndenter, Touch, fixed_indenter
+from tacshade_edge.calibration.files.press_table import BALL
+from tacshade_edge.calibration.indenters import skin_z_mm
+from tacshade_edge.calibration.inputs import StatedSensor
+from tacshade_edge.calibration.press_machine import FixedIndenter, TouchPoint, fixed_indenter
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
-from tacshade_edge.storage.tables.presses import BALL
 from tacshade_edge.types import Frame, Pose
 
 PoseAt = Callable[[Frame], Pose | str]
@@ -27,7 +27,7 @@ Name = tuple[str, str]
 """Indenter and radius, as in PRESSES.csv."""
 
 
-def _base_T_sensor(sensor: Sensor, pose: Pose | str) -> Rigid:
+def _base_T_sensor(sensor: StatedSensor, pose: Pose | str) -> Rigid:
     """The pose of a sensor that a robot holds.
 
     Raises ConfigError with the reason if it is unknown.
@@ -42,7 +42,7 @@ class RobotPlaces:
     the robot's poses give the place of all others.
     """
 
-    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+    def __init__(self, sensor: StatedSensor, pose_at: PoseAt) -> None:
         self._sensor, self._pose_at = sensor, pose_at
         self._fixed: dict[Name, FixedIndenter] = {}
 
@@ -61,7 +61,7 @@ class RobotPlaces:
             held = _base_T_sensor(self._sensor, self._pose_at(frame))
         except ConfigError as error:
             return str(error)
-        stated = Touch(float(x_mm), float(y_mm), float(depth_mm))
+        stated = TouchPoint(float(x_mm), float(y_mm), float(depth_mm))
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
         self._fixed[indenter, radius_mm] = fixed_indenter(
             held, stated, ball_radius_mm, self._sensor.skin_radius_mm
@@ -89,7 +89,7 @@ class RobotPlaces:
 class RobotLabels:
     """Labels relative to the pose at first touch."""
 
-    def __init__(self, sensor: Sensor, pose_at: PoseAt) -> None:
+    def __init__(self, sensor: StatedSensor, pose_at: PoseAt) -> None:
         self._sensor, self._pose_at = sensor, pose_at
         self._first: Rigid | None = None
 

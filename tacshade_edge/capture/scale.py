@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.types import F64
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
@@ -156,7 +156,7 @@ class ClockOffset:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Press:
+class ScalePress:
     """Times in s and the picture's change, both (n,),
     from before a press until after it was lifted.
     """
@@ -165,7 +165,7 @@ class Press:
     change: F64
 
 
-def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
+def find_offset(presses: Sequence[ScalePress], t_s: F64, force: F64) -> ClockOffset:
     """Find the offset as the mean lag of the presses; their scatter gives its standard error.
 
     Each press is correlated (Pearson) with the force at every lag from -`RANGE_S` to `RANGE_S`; a
@@ -192,7 +192,7 @@ def find_offset(presses: Sequence[Press], t_s: F64, force: F64) -> ClockOffset:
     return ClockOffset(float(np.mean(lags)), error_s, len(lags))
 
 
-def _lag_s(press: Press, t_s: F64, force: F64) -> float | None:
+def _lag_s(press: ScalePress, t_s: F64, force: F64) -> float | None:
     """Return one press's lag in s; None if it correlates too weakly or best at the end
     of the range.
     """

@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from tacshade_edge.calibration.files.capture_folder import CaptureFolder
+from tacshade_edge.calibration.presses.press_check import Judgement
+from tacshade_edge.calibration.reference.references import block_means
 from tacshade_edge.capture.change import ChangeFromRest, change_grey
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal
-from tacshade_edge.core.calibration.presses.press_check import Judgement
-from tacshade_edge.core.calibration.reference.references import block_means
-from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.quoting import counted
-from tacshade_edge.storage.tables.capture_folder import CaptureFolder
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import F32, U8, Frame
 
 REST_S: Final = 45.0

@@ -1,5 +1,8 @@
-"""The command line: parses arguments, runs a command and prints its errors;
-imports only that command's module.
+"""The commands: each parses its arguments, calls a room and prints.
+
+In: words of a command line. Out: text, JSON, files and exit codes.
+Threads: none.
+Other rooms use: `entry`. The command line imports only the module of the command that runs.
 """
 
 from __future__ import annotations

@@ -18,10 +18,30 @@ from typing import TYPE_CHECKING, Any, Literal
 import cv2
 import msgspec
 
-from tacshade_edge.core.profiles import AUTO, LADDER, PROFILES, profile_with
-from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.objects import ObjectEvents, TaughtObjects
-from tacshade_edge.daemon.observer import (
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import reference_file
+from tacshade_edge.camera import sources
+from tacshade_edge.camera.frame_source import FrameSource
+from tacshade_edge.daemon.active_profile import ActiveProfile, Step
+from tacshade_edge.daemon.live_recorder import SOURCE_ENDED, LiveRecorder
+from tacshade_edge.daemon.named_files import check_files
+from tacshade_edge.daemon.reference_in_use import References
+from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
+from tacshade_edge.daemon.taught_objects import ObjectEvents, TaughtObjects
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.fixes import with_fix
+from tacshade_edge.free_memory import return_free_memory, share_free_memory
+from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.outgoing import PayloadOutcome
+from tacshade_edge.mqtt.publishing import (
+    ContactEvents,
+    HealthReport,
+    HomeAssistant,
+    Preview,
+    Publisher,
+)
+from tacshade_edge.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.pipeline.observer import (
     FRAMES_SENT_S,
     LINK_STOPPED_S,
     THREADS_STOPPED_S,
@@ -29,34 +49,24 @@ from tacshade_edge.daemon.observer import (
     Reply,
     SourceState,
 )
-from tacshade_edge.daemon.pipeline import Crash, Pipeline, crashes_to
-from tacshade_edge.daemon.profiles import ActiveProfile, Step
-from tacshade_edge.daemon.publishing import ContactEvents, Health, HomeAssistant, Preview, Publisher
-from tacshade_edge.daemon.record import SOURCE_ENDED, LiveRecorder
-from tacshade_edge.daemon.references import References
-from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
-from tacshade_edge.devices.base import FrameSource
-from tacshade_edge.devices.fixes import with_fix
-from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, links, sources
-from tacshade_edge.free_memory import return_free_memory, share_free_memory
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import codec, messages, requests
-from tacshade_edge.protocol.requests import Request
-from tacshade_edge.protocol.results import ProfileChosen, RequestResult
+from tacshade_edge.pipeline.pipeline import Crash, Pipeline, crashes_to
 from tacshade_edge.quoting import counted, shown
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.rigid import from_seven
+from tacshade_edge.robot.ports import make_serial_port
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import AUTO, LADDER, PROFILES, profile_with
 from tacshade_edge.settings import Document, digest, load
-from tacshade_edge.storage.calibration import reference_file
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import installed_version
+from tacshade_edge.wire import codec, messages, requests
+from tacshade_edge.wire.requests import Request
+from tacshade_edge.wire.results import ProfileChosen, RequestResult
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.hand import FingerLine
-    from tacshade_edge.daemon.robot import Robot, SharedLine
-    from tacshade_edge.daemon.session_worker import Sessions
+    from tacshade_edge.daemon.hand_process import FingerLine
+    from tacshade_edge.robot.robot import Robot, SharedLine
+    from tacshade_edge.stitching.session_worker import Sessions
 
 
 _log = logging.getLogger(__name__)
@@ -130,7 +140,7 @@ class App:
         )
         self._sessions = self._make_sessions(robot)
         timings = Timings()
-        self._health = Health(self.ledger, timings)
+        self._health = HealthReport(self.ledger, timings)
         self._preview = Preview(self.link)
         # In the order in which they see a frame: sessions before publishing, since a subscriber
         # that sees a contact may begin one.
@@ -172,10 +182,10 @@ class App:
 
     def _make_robot(self, line: SharedLine | None) -> Robot | None:
         follows = line is not None and line.hears is not None
-        port = None if follows else sources.make_serial_port(self._document.settings.serial)
+        port = None if follows else make_serial_port(self._document.settings.serial)
         if not port and not follows:
             return None
-        from tacshade_edge.daemon.robot import Robot  # imports pyserial
+        from tacshade_edge.robot.robot import Robot  # imports pyserial
 
         publish = partial(self.link.set_retained, "status/serial")
         return Robot(port, self._on_request, self._status, publish, self._missing, line)
@@ -184,7 +194,7 @@ class App:
         settings = self._document.settings
         if not sources.frames_have_poses(settings):
             return None
-        from tacshade_edge.daemon.session_worker import Sessions
+        from tacshade_edge.stitching.session_worker import Sessions
 
         return Sessions(
             Path(settings.stitching.folder), settings.sensor_id, self.link.set_retained, robot
@@ -193,7 +203,7 @@ class App:
     def _make_reporter(self, line: FingerLine | None) -> FrameObserver | None:
         if line is None or not (hand_T_sensor := self._document.settings.hand_T_sensor):
             return None
-        from tacshade_edge.daemon.hand import FingerReporter
+        from tacshade_edge.daemon.hand_process import FingerReporter
 
         return FingerReporter(line, from_seven(hand_T_sensor))
 
@@ -523,9 +533,9 @@ def reload(
     changed. Raises ConfigError.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
-    sources.check_files(new)
+    check_files(new)
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
-    find = calibrations.load_calibration if calibrated else calibrations.find_calibration
+    find = loading.load_calibration if calibrated else loading.find_calibration
     return document, find(document), waiting

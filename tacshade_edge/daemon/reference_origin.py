@@ -11,16 +11,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
-from tacshade_edge.storage.calibration import reference_file
-from tacshade_edge.storage.calibration.reference_file import (
+from tacshade_edge.calibration.files import reference_file
+from tacshade_edge.calibration.files.reference_file import (
     LearntLimits,
     Source,
     StoredReference,
     limited,
 )
+from tacshade_edge.calibration.reference.references import rezero
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import U8, Calibration
 
 _log = logging.getLogger(__name__)

@@ -20,11 +20,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
 from tacshade_edge.daemon.systemd import STOP_USEC, notify, notify_reloading, notify_stopping
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import preload
 from tacshade_edge.quoting import escaped
+from tacshade_edge.sensor.inference.network import preload
+from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 from tacshade_edge.version import installed_version
 

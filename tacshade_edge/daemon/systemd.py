@@ -10,8 +10,8 @@ import socket
 import time
 
 from tacshade_edge import libsystemd
-from tacshade_edge.daemon.observer import SourceState
-from tacshade_edge.daemon.pipeline import Grab, Reconstruct
+from tacshade_edge.pipeline.observer import SourceState
+from tacshade_edge.pipeline.pipeline import Grab, Reconstruct
 from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import Reason
 

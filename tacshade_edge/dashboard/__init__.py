@@ -1,3 +1,6 @@
-"""The dashboard: a small server, apart from the daemon,
-for one static page that interprets the messages.
+"""Serves the page, and passes on the broker's messages to it.
+
+In: a broker's address, recordings. Out: HTTP and WebSockets.
+Threads: asyncio's.
+Other rooms use: `relay`, `server`.
 """

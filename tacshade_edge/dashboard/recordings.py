@@ -23,11 +23,11 @@ from typing import Any, Final
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from tacshade_edge.dashboard.bridge import STALL_S, Broker
+from tacshade_edge.dashboard.relay import STALL_S, Broker
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol.requests import RECORD_NAME
 from tacshade_edge.quoting import escaped, shown
 from tacshade_edge.regular_files import read_regular
+from tacshade_edge.wire.requests import RECORD_NAME
 
 _log = logging.getLogger(__name__)
 

@@ -26,10 +26,10 @@ from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access
 from tacshade_edge.dashboard.access import Login
-from tacshade_edge.dashboard.bridge import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.dashboard.recordings import RecordingCommands
-from tacshade_edge.devices.listener import Connections, Listener
+from tacshade_edge.dashboard.relay import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.listener import Connections, Listener
 from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)

@@ -1,5 +1,8 @@
-"""Finds what is wrong with a sensor and its machine, and what fixes it;
-a finding is one line of the report.
+"""Finds what is wrong with a sensor and its machine, and what fixes it.
+
+In: settings, devices, the broker, pictures. Out: findings, each a line of the report.
+Threads: one for each check that may hang.
+Other rooms use: `board`, `bundle`, `camera_check`, `diagnose`, `judged_pictures`, `machine`.
 """
 
 from __future__ import annotations

@@ -15,18 +15,19 @@ from typing import Any
 
 import msgspec
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.doctor import Finding
 from tacshade_edge.doctor.board import board_facts
-from tacshade_edge.doctor.broker import DaemonState
-from tacshade_edge.doctor.camera import Captured
+from tacshade_edge.doctor.broker_check import DaemonState
+from tacshade_edge.doctor.camera_check import Captured
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations, links
-from tacshade_edge.protocol.codec import decode_object
+from tacshade_edge.files.atomic_files import disk_errors, write_whole
+from tacshade_edge.files.images import png
+from tacshade_edge.mqtt import links
 from tacshade_edge.settings import Document, to_yaml
-from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.images import png
+from tacshade_edge.wire.codec import decode_object
 
 _LOG_LINES, _LOG_BYTES_MAX, _LOG_S = 2000, 4 << 20, 10.0
 _UNIT = "tacshade-edge"
@@ -104,7 +105,7 @@ def _secrets(document: Document) -> tuple[str, ...]:
 def _calibration(document: Document) -> dict[str, Any]:
     """Return the facts in the calibration file, or the reason why it has none."""
     try:
-        found = calibrations.load(document.settings.calibration)
+        found = loading.load(document.settings.calibration)
     except ConfigError as error:
         return {"reason": str(error)}
     fitted = {name: networks.error_mm for name, networks in found.fitted.items()}

@@ -12,11 +12,13 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 
-from tacshade_edge.doctor import Finding, Findings, calibration, fault, ok
+from tacshade_edge.calibration import loading
+from tacshade_edge.camera import sources
+from tacshade_edge.doctor import Finding, Findings, calibration_check, fault, ok
 from tacshade_edge.doctor.board import check_board, check_clock, check_disk
-from tacshade_edge.doctor.broker import check_broker, judge_daemon
+from tacshade_edge.doctor.broker_check import check_broker, judge_daemon
 from tacshade_edge.doctor.bundle import Seen
-from tacshade_edge.doctor.camera import (
+from tacshade_edge.doctor.camera_check import (
     capture,
     check_csi,
     check_device,
@@ -25,9 +27,9 @@ from tacshade_edge.doctor.camera import (
     list_cameras,
 )
 from tacshade_edge.doctor.machine import AS_SERVICE, Machine
-from tacshade_edge.doctor.ports import check_serial, check_usb
+from tacshade_edge.doctor.port_checks import check_serial, check_usb
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, links, sources
+from tacshade_edge.mqtt import links
 from tacshade_edge.regular_files import open_regular
 from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load, load_all
 
@@ -94,7 +96,7 @@ def sized_source(document: Document) -> Source:
     source = document.settings.source
     if not isinstance(source, V4l2 | Rpicam) or source.width_px is not None:
         return source
-    return sources.sized(source, calibrations.image_size_px(document))
+    return sources.sized(source, loading.image_size_px(document))
 
 
 def _check_camera(document: Document, machine: Machine) -> Findings:
@@ -116,11 +118,11 @@ def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
 
 
 def _check_calibration(document: Document, seen: Seen) -> Findings:
-    known, findings = calibration.load(document)
+    known, findings = calibration_check.load(document)
     if known is None or not seen.captured.images:
         return findings
     is_camera = isinstance(document.settings.source, V4l2 | Rpicam)
-    return (*findings, *calibration.check_images(known, seen.captured.images, is_camera))
+    return (*findings, *calibration_check.check_images(known, seen.captured.images, is_camera))
 
 
 def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:

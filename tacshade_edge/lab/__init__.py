@@ -1,1 +1,12 @@
-"""What shows, simulates and measures: nothing that a running sensor needs."""
+"""What simulates, fits, measures and demonstrates: nothing that a running sensor needs.
+
+In: models, calibrations, frames. Out: simulated frames, fitted networks, tables.
+Threads: `follow-parent` in each worker of `parallel`.
+Other rooms use: `demo.child`, `demo.demo_hand`, `demo.touchpad`, `fitting.explained`,
+    `fitting.fit`, `fitting.identify`, `fitting.lattice`, `fitting.prints`, `parallel`,
+    `pressed_file`, `simulated_source`, `simulator.pad`, `simulator.press`, `simulator.render`,
+    `simulator.script`, `simulator.sensor_model`, `simulator.tacshade`, `simulator.truth`,
+    `studies.evaluate.accuracy`, `studies.evaluate.labelled`, `studies.evaluate.score`,
+    `studies.evaluate.work`, `studies.markdown`, `studies.stitch.map_presses`,
+    `studies.stitch.map_truth`, `studies.tradeoff.measure`, `studies.tradeoff.tradeoff_report`.
+"""

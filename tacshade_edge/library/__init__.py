@@ -1,3 +1,6 @@
-"""The public library, `import tacshade_edge`: a thin layer over the core and the devices,
-in the caller's thread.
+"""What `import tacshade_edge` offers.
+
+In: images, cameras, recordings, a broker. Out: `Result`s.
+Threads: paho's, for `connect`.
+Other rooms use: `frames`, `result`, `run_messages`, `sensor`, `subscriber`.
 """

@@ -8,12 +8,24 @@ from typing import Final
 
 import numpy as np
 
-from tacshade_edge.core.contact.objects import objects_of
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.geometry.disc import Grid, disc_rays, labels_by_cell
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.result import Result, result_of
-from tacshade_edge.protocol.topics import (
+from tacshade_edge.quoting import quoted
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.contact.objects import objects_of
+from tacshade_edge.sensor.contact.tracking import ContactTracker, follow
+from tacshade_edge.sensor.geometry.disc import Grid, disc_rays, labels_by_cell
+from tacshade_edge.types import (
+    F32,
+    Geometry,
+    HeightMap,
+    ObjectCloud,
+    Reconstruction,
+    Touch,
+    TouchedObject,
+)
+from tacshade_edge.wire.binary import HeightMessage, ShearMessage, SigmaMessage
+from tacshade_edge.wire.topics import (
     OF_SENSORS,
     Contact,
     Info,
@@ -24,18 +36,6 @@ from tacshade_edge.protocol.topics import (
     decode_object_event,
     decode_state,
     decode_touch,
-)
-from tacshade_edge.protocol.wire import HeightMessage, ShearMessage, SigmaMessage
-from tacshade_edge.quoting import quoted
-from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.types import (
-    F32,
-    Geometry,
-    HeightMap,
-    ObjectCloud,
-    Reconstruction,
-    Touch,
-    TouchedObject,
 )
 
 _STREAMS: Final = ("height", "cloud", "shear", "sigma")

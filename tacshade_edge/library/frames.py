@@ -10,20 +10,22 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from tacshade_edge.core.contact.tracking import ContactTracker
-from tacshade_edge.core.profiles import AUTO, DEFAULT, PROFILES
-from tacshade_edge.devices.base import FrameSource
+from tacshade_edge.calibration import loading
+from tacshade_edge.camera import sources
+from tacshade_edge.camera.frame_source import FrameSource
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
-from tacshade_edge.factories import calibrations, hand_recordings, sources
+from tacshade_edge.hand import hand_recordings
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
-from tacshade_edge.protocol.topics import HandObjects
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.recording.recording_content import CALIBRATION_NAME
+from tacshade_edge.sensor.contact.tracking import ContactTracker
+from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.settings import Settings, V4l2
 from tacshade_edge.settings import load as load_settings
-from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.types import Frame
+from tacshade_edge.wire.topics import HandObjects
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +72,7 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
                     f"{where}: found {AUTO}, expected another profile, "
                     f"because only the daemon supports {AUTO}; alternatively, pass a sensor"
                 )
-            sensor = Sensor(calibrations.load_calibration(document), settings.profile)
+            sensor = Sensor(loading.load_calibration(document), settings.profile)
     elif path.is_relative_to("/dev"):
         sensor = sensor or load(Settings().calibration)
         settings = Settings(source=V4l2(device=str(path)))
@@ -111,7 +113,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
         if line:
             _log.warning("%s", line)
     if sensor is None:
-        if (own := calibrations.of_recording(path)) is None:
+        if (own := loading.of_recording(path)) is None:
             raise ConfigError(
                 f"{path}: the recording contains no {CALIBRATION_NAME}; pass a sensor: "
                 "read(recording, sensor)"

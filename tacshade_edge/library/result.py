@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from tacshade_edge.core.geometry.disc import Grid, disc_rays, skin_points
+from tacshade_edge.files.drawing import height_png
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import code_of, text_of
-from tacshade_edge.storage.pictures import height_png
+from tacshade_edge.sensor.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.types import (
     F32,
     U16,

@@ -8,15 +8,15 @@ from typing import Final, get_args
 
 import numpy as np
 
-from tacshade_edge.core.contact.tracking import ContactTracker
-from tacshade_edge.core.profiles import DEFAULT, NETWORK, PROFILES, Outline, profile_with
-from tacshade_edge.core.reconstruct import step_and_track
+from tacshade_edge.calibration import loading
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.files.images import read_image
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.library.result import Result, result_of
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.sensor.contact.tracking import ContactTracker
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import DEFAULT, NETWORK, PROFILES, Outline, profile_with
+from tacshade_edge.sensor.reconstruct import step_and_track
 from tacshade_edge.types import U8, Calibration, Frame, Geometry
 
 _EXPECTED: Final = "a path, or uint8 (rows, cols) or (rows, cols, 3), blue first"
@@ -43,7 +43,7 @@ def load(
     ConfigError
         The calibration cannot be used, or there is no such profile or outline.
     """
-    known = calibrations.load(path_of("calibration", calibration), store=False)
+    known = loading.load(path_of("calibration", calibration), store=False)
     return Sensor(known, profile, outline)
 
 

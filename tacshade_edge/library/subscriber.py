@@ -15,14 +15,14 @@ from typing import Any, Final
 from paho.mqtt.client import Client
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
-from tacshade_edge.devices.mqtt.client import BrokerAddress, Session, connect_now, make_client
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.library.result import Result, Results
-from tacshade_edge.protocol.broker_address import BROKER, host_and_port
+from tacshade_edge.mqtt.client import BrokerAddress, BrokerSession, connect_now, make_client
 from tacshade_edge.quoting import escaped, quoted, shown
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.wire.broker_address import BROKER, host_and_port
 
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
@@ -91,7 +91,7 @@ def listen(
 
 
 class _Heard(Results):
-    def __init__(self, client: Session, host: str, port: int, sensor_id: str) -> None:
+    def __init__(self, client: BrokerSession, host: str, port: int, sensor_id: str) -> None:
         self._client, self._address = client, (host, port)
         self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
         self._failure = ""

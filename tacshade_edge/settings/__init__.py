@@ -1,5 +1,9 @@
-"""Strict settings: reads a YAML file as frozen `Settings`,
-or says in one line what is wrong and where.
+"""Strict settings: reads a YAML file as frozen `Settings`, or says in one line what is wrong and
+where.
+
+In: a YAML file. Out: a `Document`.
+Threads: none.
+Other rooms use: `load`, `model`, `strict_yaml`.
 """
 
 from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml

@@ -27,10 +27,10 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from tacshade_edge.core.profiles import AUTO
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import did_you_mean, shown
 from tacshade_edge.regular_files import named_file
+from tacshade_edge.sensor.profiles import AUTO
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.model import (
     FINGER,
@@ -45,7 +45,7 @@ from tacshade_edge.settings.model import (
     V4l2,
     wrong_with,
 )
-from tacshade_edge.settings.strict_yaml import Found, Key, YamlFile, dotted
+from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile, dotted
 
 T = TypeVar("T")
 _V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
@@ -60,7 +60,7 @@ class Document:
 
     path: Path
     settings: Settings
-    found: dict[Key, Found]
+    found: dict[Key, Located]
     several: bool = False
 
     def where(self, *key: str) -> str:
@@ -228,7 +228,7 @@ def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
 
 
 def _explained(
-    message: str, value: dict[str, Any], found: dict[Key, Found], at: Key, root: dict[str, Any]
+    message: str, value: dict[str, Any], found: dict[Key, Located], at: Key, root: dict[str, Any]
 ) -> tuple[Key, str]:
     """The key and the problem of one msgspec error,
     which names a JSON path below `at` and one field.
@@ -350,7 +350,7 @@ def _split(file: YamlFile) -> Iterator[YamlFile]:
                 raise file.error((*at, "serial"), text)
         of_one = {key: where for key, where in found.items() if key[:1] != (SENSORS,)}
         of_one |= {key[2:]: replace(where, at=at) for key, where in found.items() if key[:2] == at}
-        of_one["sensor_id",] = Found(found[at].line, sensor_id, at)
+        of_one["sensor_id",] = Located(found[at].line, sensor_id, at)
         yield YamlFile(file.path, value, of_one)
 
 
@@ -396,7 +396,7 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
     return absolute
 
 
-def _own_folders(settings: Settings, found: dict[Key, Found]) -> Settings:
+def _own_folders(settings: Settings, found: dict[Key, Located]) -> Settings:
     """Put a sensor's folders below the common ones, named by its id,
     unless the sensor names its own.
     """

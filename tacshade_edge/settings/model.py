@@ -12,8 +12,8 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from tacshade_edge.core.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
-from tacshade_edge.protocol.broker_address import HOST
+from tacshade_edge.sensor.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
+from tacshade_edge.wire.broker_address import HOST
 
 Placed = Annotated[
     list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")

@@ -25,7 +25,7 @@ _VALUES_MAX = 10_000  # the reader needs about a third of a second for them
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Located:
     """A key's line and the text of its value; messages show the key's path below `at`."""
 
     line: int
@@ -41,7 +41,7 @@ class YamlFile:
 
     path: Path
     value: Any
-    found: dict[Key, Found]
+    found: dict[Key, Located]
 
     def where(self, key: Key) -> str:
         """``FILE:LINE: path.to.key`` (without a line if the file does not have the key)."""
@@ -60,7 +60,7 @@ class _Loader(yaml.SafeLoader):
         super().__init__(text)
         self.path = path
         self.values = 0
-        self.found: dict[Key, Found] = {}
+        self.found: dict[Key, Located] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
@@ -80,16 +80,16 @@ class _Loader(yaml.SafeLoader):
         """The value of a node and everything below it. Raises ConfigError."""
         line = node.start_mark.line + 1
         if isinstance(node, yaml.MappingNode):
-            self.found.setdefault(key, Found(line, "a mapping"))
+            self.found.setdefault(key, Located(line, "a mapping"))
             return self._mapping(node, key)
         if isinstance(node, yaml.SequenceNode):
-            self.found.setdefault(key, Found(line, "a list"))
+            self.found.setdefault(key, Located(line, "a list"))
             return [self.value(item, (*key, str(i))) for i, item in enumerate(node.value)]
         # Show the source text, so that an octal or a bare `yes` appears as typed.
         mark = node.start_mark
         source = mark.buffer[mark.pointer : node.end_mark.pointer] if mark.buffer else ""
         text = shown(" ".join(source.split()), 60)
-        self.found.setdefault(key, Found(line, text or "nothing"))
+        self.found.setdefault(key, Located(line, text or "nothing"))
         try:
             value = self.construct_object(node) if node.tag in _SCALARS else node
         except ValueError:
@@ -130,7 +130,7 @@ class _Loader(yaml.SafeLoader):
                     line, child, f"found again, expected once (first on line {first})"
                 )
             values[name_node.value] = self.value(value_node, child)
-            self.found[child] = Found(line, self.found[child].text)
+            self.found[child] = Located(line, self.found[child].text)
         return values
 
     def _error(self, line: int, key: Key, problem: str) -> ConfigError:
@@ -176,7 +176,7 @@ def parse(path: Path, data: bytes) -> YamlFile:
         raise ConfigError(
             f"{path}: found YAML that is nested too deeply, expected a settings file's YAML"
         ) from error
-    loader.found.setdefault((), Found(1, "nothing"))
+    loader.found.setdefault((), Located(1, "nothing"))
     return YamlFile(path, value, loader.found)
 
 

@@ -1,4 +1,8 @@
-"""The values that the layers pass to each other. Frozen; every array in them is read-only."""
+"""The values that rooms pass to each other. Frozen; every array in them is read-only.
+
+Threads: none.
+Other rooms use: `calibration`, and the names below.
+"""
 
 from tacshade_edge.types.calibration import (
     TOUCH_ARRAYS,

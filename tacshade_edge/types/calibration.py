@@ -1,5 +1,5 @@
 """Everything that is known about one sensor, as it is stored
-(`storage.calibration.calibration_file`).
+(`calibration.files.calibration_file`).
 
 A number's bounds stand with its field; they hold for a calibration that is made and for one
 that is read.
@@ -68,7 +68,7 @@ class Fit:
 @dataclass(frozen=True, slots=True)
 class RestLimits:
     """What a profile's evidence of a touch exceeds in at most a part of the frames in which nothing
-    touches, measured on images of the untouched skin (`core.contact.rest`).
+    touches, measured on images of the untouched skin (`sensor.contact.rest`).
     """
 
     frames: Annotated[int, Meta(ge=1, le=10**9)]  # number of those images
@@ -96,7 +96,7 @@ class FittedNetwork:
     shipped_error_mm: float
     factor: Positive = 1.0  # on h
     error_scale: Positive | None = (
-        None  # factor on σ, measured on those presses (`core.depth.sigma`)
+        None  # factor on σ, measured on those presses (`sensor.depth.sigma`)
     )
 
     def __post_init__(self) -> None:
@@ -113,7 +113,8 @@ class TouchModel:
     """
 
     names: tuple[str, ...]  # of Q quantities, from `QUANTITIES`
-    networks: str  # digest of those that compute the features (`inference.network.touch_networks`)
+    # Digest of those that compute the features (`sensor.inference.network.touch_networks`).
+    networks: str
     mean: F32  # (D,) of each feature over the table
     deviation: F32  # (D,) above 0
     # (D, m): standardised features to coordinates whose mean squares over the table add to 1.
@@ -125,18 +126,16 @@ class TouchModel:
     """(2 m, n) coordinates and their ratios to the directions in which the quantities change
     (older: m rows).
     """
-    gate_part: Annotated[
-        float, Meta(ge=0, le=1)
-    ]  # part of the picture from whose change on the model answers
+    # Part of the picture from whose change on the model answers.
+    gate_part: Annotated[float, Meta(ge=0, le=1)]
     centres: F32  # (M, n)
     width: Positive  # of the squared-exponential kernel
     # (n + M, K): kernel values to the basis functions that vary most
     # and are uncorrelated over the table.
     basis: F32
     weights: F32  # (n + M, Q) of the kernel values in each quantity's mean
-    precision: (
-        F32  # (K, Q) posterior variance of each basis function's weight, in units of `noise`²
-    )
+    # (K, Q) posterior variance of each basis function's weight, in units of `noise`².
+    precision: F32
     ridge: F32  # (Q,) regularisation
     offset: F32  # (Q,) mean over the table
     noise: F32  # (Q,) standard deviation of a label about the model
@@ -145,12 +144,10 @@ class TouchModel:
     # A frame is unlike the table's beyond this `leverage` of its coordinates, or beyond this.
     leverage_max: Positive
     residual_max: Positive  # share of its standardised features that the components leave out
-    imprint_weights: (
-        F32  # (T, I): terms of the predicted quantities to their imprint (`core.touch.answer`)
-    )
-    imprint_precision: (
-        F32  # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I
-    )
+    # (T, I): terms of the predicted quantities to their imprint (`sensor.touch.touch_answer`).
+    imprint_weights: F32
+    # (I, I) inverse covariance of the imprint errors of held-out frames, divided by I.
+    imprint_precision: F32
     # Greatest squared distance of an imprint; beyond it an object is unlike the table's.
     imprint_max: Positive
 
@@ -241,7 +238,7 @@ class Calibration:
         IDENTITY_POSE
     )
     crc32: int = 0  # of the stored content; 0 until it is stored
-    # Objects by name, of each profile; `storage.calibration.objects_file` stores them in a file
+    # Objects by name, of each profile; `calibration.files.objects_file` stores them in a file
     # of their own.
     known: Mapping[str, tuple[KnownObject, ...]] = field(default_factory=dict)
 

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from support.published_sensor import CRC, bump, calibration
 
-from tacshade_edge.protocol import messages, wire
 from tacshade_edge.types import F64, Pose, Touch
+from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
 from tools.testbed.patience import patience, wait_until
 
@@ -134,7 +134,7 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
         wait_until(lambda: bridge.streams() >= {"height"}, 10, "watched")
         bridge.hear(
             "height",
-            wire.encode_height(bump(6, 0.0, 236.0, 328.0, step_px=4), calibration_crc32=CRC),
+            binary.encode_height(bump(6, 0.0, 236.0, 328.0, step_px=4), calibration_crc32=CRC),
         )
         rest, placed = seen.until("skin", "tf")
         points_mm = vertices_mm(rest)
@@ -152,13 +152,13 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
             "log",
             found=lambda line: (line.name, line.message) == ("tacshade/drawn/state", "degraded"),
         )
-        height = wire.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
+        height = binary.encode_height(press, calibration_crc32=CRC, pose=pose, pose_error_us=9)
         contact = messages.encode_contact(press, fps=30.0)
         touch = messages.encode_touch(
             replace(press, touch=Touch({"twist_deg": -2.5}, {"twist_deg": 0.5}))
         )
         bridge.hear("height", height)
-        bridge.hear("cloud", wire.encode_cloud(press, calibration_crc32=CRC))
+        bridge.hear("cloud", binary.encode_cloud(press, calibration_crc32=CRC))
         bridge.hear("contact", contact)
         bridge.hear(
             "touch",
@@ -166,8 +166,8 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
         )
         bridge.hear("touch", touch)
         image, cloud, reported, numbers = seen.until(*streams)
-        expected = wire.decode(height)
-        assert isinstance(expected, wire.HeightMessage)
+        expected = binary.decode(height)
+        assert isinstance(expected, binary.HeightMessage)
         assert (image.encoding, image.frame_id) == ("32FC1", "drawn/sensor")
         assert (image.height, image.width, image.step) == (120, 160, 640)
         assert image.timestamp.ToNanoseconds() == press.wall_ns
@@ -190,7 +190,7 @@ def test_a_viewer_sees_a_press(bridge: Bridge) -> None:
         )
         (moved,) = robot.transforms
         assert (moved.translation.x, moved.translation.y, moved.translation.z) == (0.1, -0.02, 0.3)
-        bridge.hear("height", wire.encode_height(later, calibration_crc32=CRC))
+        bridge.hear("height", binary.encode_height(later, calibration_crc32=CRC))
         (pressed,) = seen.until("skin", found=lambda skin: least_radius_mm(skin) < 19)
         assert least_radius_mm(pressed) == pytest.approx(
             18.0, abs=0.05
@@ -270,7 +270,7 @@ def test_the_real_sensor_is_shown_among_what_no_daemon_publishes(
         seen.subscribe("height")
         wait_until(lambda: bridge.streams() == {"height"}, 10, "watched")
         bridge.hear(
-            "height", wire.encode_height(bump(1, 1.0, 236.0, 328.0, 8), calibration_crc32=CRC)
+            "height", binary.encode_height(bump(1, 1.0, 236.0, 328.0, 8), calibration_crc32=CRC)
         )
         assert seen.until("height")[0].frame_id == "drawn/sensor"
         assert len(seen.channels) < 400

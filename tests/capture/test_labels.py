@@ -14,8 +14,8 @@ from tacshade_edge.capture.robot_place import labels_between
 from tacshade_edge.capture.scale import (
     ERROR_MOST_S,
     PRESSES_LEAST,
-    Press,
     Scale,
+    ScalePress,
     find_offset,
     force_at,
     scale_port,
@@ -34,7 +34,7 @@ def pressed(t_s: F64, at_s: float) -> F64:
 
 def taken(
     count: int, seed: int, late_s: float, scatter_s: float = 0.0
-) -> tuple[list[Press], F64, F64]:
+) -> tuple[list[ScalePress], F64, F64]:
     """Pictures at 30/s whose change is no straight line of force;
     a scale at 10/s, rounded to 10 mN.
     """
@@ -45,7 +45,9 @@ def taken(
     for k in range(count):
         at_s = 5.0 * k + 1
         t_s = at_s - 0.7 + np.arange(105) / 30
-        presses.append(Press(t_s, 4 * pressed(t_s, at_s) ** 0.7 + rng.normal(0, 0.1, len(t_s))))
+        presses.append(
+            ScalePress(t_s, 4 * pressed(t_s, at_s) ** 0.7 + rng.normal(0, 0.1, len(t_s)))
+        )
         force_n += 2 * pressed(scale_s - late_s - scatter_s * (-1) ** k, at_s)
     return presses, scale_s, np.round(force_n + rng.normal(0, 0.01, len(force_n)), 2)
 
@@ -115,7 +117,7 @@ def test_twist_then_tilt_about_x_then_about_y() -> None:
     )
     x, y, z = now.rotation @ np.array(
         (0.0, 0.0, 1.0)
-    )  # as `core.touch.answer` has them of a contact's normal
+    )  # as `sensor.touch.touch_answer` has them of a contact's normal
     assert (-math.degrees(math.asin(y)), math.degrees(math.atan2(x, z))) == pytest.approx((12, -7))
 
 

@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.calibration.files.capture_folder import CaptureFolder
+from tacshade_edge.calibration.presses.press_check import Judgement
+from tacshade_edge.calibration.reference.references import block_means
 from tacshade_edge.capture import unlabelled
 from tacshade_edge.capture.live import Live, Terminal
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.unlabelled import TOUCHES, Unlabelled
-from tacshade_edge.core.calibration.presses.press_check import Judgement
-from tacshade_edge.core.calibration.reference.references import block_means
-from tacshade_edge.core.image.greyscale import to_grey
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.storage.tables.capture_folder import CaptureFolder
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import U8, Disc, Frame
 from tools.testbed.painted_sensor import FREE
 

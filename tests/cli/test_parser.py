@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import COMMANDS, EXIT_CONFIG, main
 from tacshade_edge.cli.shared.options import COUNT, FINITE, PORT, POSITIVE, address, path
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience
@@ -191,7 +191,7 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     )
     code = (
         f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry\n"
-        "from tacshade_edge.storage.recording import image_source\n"
+        "from tacshade_edge.recording import image_source\n"
         "image_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings)]

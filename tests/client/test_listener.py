@@ -17,7 +17,7 @@ import tacshade_client as tc
 from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
 from tacshade_client.listener import WAITING_MAX
 
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.patience import patience, wait_until
 
@@ -26,7 +26,7 @@ needs_a_broker = [
     pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
 ]
 pytestmark = needs_a_broker
-HEIGHT = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
+HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
 
 
 @pytest.fixture

@@ -15,19 +15,19 @@ import tacshade_client as tc
 from hypothesis import given
 from hypothesis import strategies as st
 from support.published_sensor import CRC, bump, calibration, dragged, health
-from tacshade_client.protocol.topics import OF_SENSORS, SlipEvent, _json
+from tacshade_client.wire.topics import OF_SENSORS, SlipEvent, _json
 
-import tacshade_edge.core.geometry.disc as core
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.protocol import messages, wire
-from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.hand import away, encode_hand
-from tacshade_edge.protocol.topics import HandObjects
+import tacshade_edge.sensor.geometry.disc as core
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.geometry.disc import Grid, disc_rays
+from tacshade_edge.wire import binary, messages
+from tacshade_edge.wire.codec import encode_json
+from tacshade_edge.wire.hand_messages import away, encode_hand
+from tacshade_edge.wire.topics import HandObjects
 
 ROOT = Path(__file__).parents[2]
 VECTORS = {
-    n: json.loads((ROOT / f"tests/protocol/vectors/{n}.json").read_text())
+    n: json.loads((ROOT / f"tests/wire/vectors/{n}.json").read_text())
     for n in ("wire", "hand", "touch")
 }
 PRESS = dragged(bump(7, 2.0, 236.0, 328.0, step_px=4), 0.5, 0.25)
@@ -52,10 +52,10 @@ MAP = {
     },
 }
 SENT: dict[str, bytes] = {
-    "left/height": wire.encode_height(PRESS, calibration_crc32=CRC),
-    "left/cloud": wire.encode_cloud(PRESS, calibration_crc32=CRC),
-    "left/shear": wire.encode_shear(PRESS, calibration_crc32=CRC),
-    "left/map/cloud": wire.encode_cloud(PRESS, calibration_crc32=CRC),
+    "left/height": binary.encode_height(PRESS, calibration_crc32=CRC),
+    "left/cloud": binary.encode_cloud(PRESS, calibration_crc32=CRC),
+    "left/shear": binary.encode_shear(PRESS, calibration_crc32=CRC),
+    "left/map/cloud": binary.encode_cloud(PRESS, calibration_crc32=CRC),
     "left/contact": messages.encode_contact(PRESS, fps=60.0),
     "left/touch": messages.encode_touch(PRESS),
     "left/event/slip": messages.encode_slip(PRESS, PRESS.objects[0]),
@@ -200,7 +200,7 @@ def test_points_are_those_of_the_daemon() -> None:
     np.testing.assert_array_equal(
         tc.skin_mm(height, geometry), core.skin_points(height.height_mm, rays, known)
     )
-    other = tc.decode(wire.encode_height(PRESS, calibration_crc32=1))
+    other = tc.decode(binary.encode_height(PRESS, calibration_crc32=1))
     assert isinstance(other, tc.HeightMessage)
     with pytest.raises(tc.DecodeError, match="calibration 00000001, expected 1234abcd"):
         tc.skin_mm(other, geometry)

@@ -43,7 +43,7 @@ def test_it_is_small_and_owns_no_file_of_the_daemons_wheel(tmp_path: Path) -> No
     print(f"{wheel.name}: {wheel.stat().st_size} bytes")
     assert wheel.stat().st_size < BYTES_MAX
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"tacshade_client"}
-    assert {"tacshade_client/py.typed", "tacshade_client/protocol/wire_format.py"} <= set(names)
+    assert {"tacshade_client/py.typed", "tacshade_client/wire/wire_format.py"} <= set(names)
     assert (about["Version"], about["License-Expression"]) == (version(), "MIT")
     needs = [re.split("[<>]", need)[0] for need in about.get_all("Requires-Dist", [])]
     assert needs == ["msgspec", "numpy", "paho-mqtt"]

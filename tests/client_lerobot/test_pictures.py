@@ -22,8 +22,8 @@ from support.hostile_broker import BAD, HostileBroker
 from support.published_sensor import CRC, bump, calibration, dragged, unmeasured
 from tacshade_client import Message, decode_message
 
-from tacshade_edge.protocol import messages, wire
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import free_port
 
 FOLDER = Path(__file__).parents[2] / "client_lerobot/lerobot_camera_tacshade"
@@ -114,7 +114,7 @@ def frame(seq: int, depth_mm: float, step_px: int = 4, crc: int = CRC) -> list[M
     if not depth_mm:
         return [contact]
     height, shear = (
-        e(pressed, calibration_crc32=crc) for e in (wire.encode_height, wire.encode_shear)
+        e(pressed, calibration_crc32=crc) for e in (binary.encode_height, binary.encode_shear)
     )
     return [message("height", height), message("shear", shear), contact]
 

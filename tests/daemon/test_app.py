@@ -28,15 +28,15 @@ from support.running_app import (
     switched,
 )
 
-from tacshade_edge.core.profiles import DEFAULT
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.daemon.app import reload
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.profiles import DEFAULT
 from tacshade_edge.settings import load
-from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration, RestLimits
+from tacshade_edge.wire import binary
 from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import stretched, wait_until
@@ -73,17 +73,17 @@ def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(
     health = live.last("health")
     assert_accounted(health["frames"])
     assert health["frames"]["failed"] == 1
-    heights = [wire.decode(p) for p in live.payloads("height")]
+    heights = [binary.decode(p) for p in live.payloads("height")]
     assert len(heights) == health["frames"]["published"]
     assert [h.seq for h in heights] == sorted({h.seq for h in heights})
     deepest = max(
-        float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage)
+        float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, binary.HeightMessage)
     )
     assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
     assert [h.invalid for h in heights if not h.contact] == [False]
     assert heights[0].calibration_crc32 == live.calibration.crc32
     assert wall_before < heights[0].wall_ns < time.time_ns()
-    clouds = [wire.decode(p) for p in live.payloads("cloud")]
+    clouds = [binary.decode(p) for p in live.payloads("cloud")]
     assert clouds
     assert all(c.contact for c in clouds)
     assert {json.loads(p)["contact"] for p in live.payloads("contact")} == {0, 1}
@@ -120,7 +120,7 @@ def test_a_touch_that_the_map_does_not_show_reaches_a_subscriber(live: Live, scr
         lifted.set()
         live.until("contact", touched=0, contact=0, depth_max_mm=0.0)
         live.until("event/contact", type="end")
-    heights = [wire.decode(payload) for payload in live.payloads("height")]
+    heights = [binary.decode(payload) for payload in live.payloads("height")]
     assert [(each.contact, each.touched) for each in heights] == [(False, True), (False, False)]
 
 
@@ -154,7 +154,7 @@ def test_what_nobody_subscribes_to_is_not_computed_until_someone_does(
         alone = app.counts()
         assert alone.published < alone.unasked / 3
         with Subscriber(broker.port, f"{BASE}/#") as seen:
-            seqs = [wire.decode(p).seq for p in seen.wait_for(f"{BASE}/height", 20, 10)]
+            seqs = [binary.decode(p).seq for p in seen.wait_for(f"{BASE}/height", 20, 10)]
             assert seqs == sorted(set(seqs))
             for topic, count in (("cloud", 20), ("contact", 20), ("preview", 3), ("health", 1)):
                 seen.wait_for(f"{BASE}/{topic}", count)
@@ -248,7 +248,9 @@ def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
         for _ in range(2):
             broker.start()
             with Subscriber(broker.port) as seen:
-                first, *_, latest = (wire.decode(p) for p in seen.wait_for(f"{BASE}/height", 5, 10))
+                first, *_, latest = (
+                    binary.decode(p) for p in seen.wait_for(f"{BASE}/height", 5, 10)
+                )
                 assert latest.seq > first.seq
                 seen.wait_for_last(f"{BASE}/state", b"online")
                 info = json.loads(seen.wait_for(f"{BASE}/info")[-1])
@@ -300,7 +302,7 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         settings.path.read_text().replace("mqtt: {", "mqtt: {home_assistant: true, ")
     )
     settings = load(settings.path)
-    missing, calibration = calibrations.find_calibration(settings), live.folder / "c.npz"
+    missing, calibration = loading.find_calibration(settings), live.folder / "c.npz"
     assert isinstance(missing, Reason)
     with (
         PtyRobot(link, rate_hz=20, binary=True) as robot,
@@ -362,7 +364,7 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         )
         assert not live.payloads("height")
         touched.set()
-        assert wire.decode(live.seen.wait_for(f"{BASE}/height", 1, 10)[0]).contact
+        assert binary.decode(live.seen.wait_for(f"{BASE}/height", 1, 10)[0]).contact
         assert live.ask("profile", profile="fast")["ok"]
     live.until_state("stopped")
     link.unlink(missing_ok=True)

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from support.running_app import NEEDS_BROKER, Live, paced
 
-from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.core.recognition.naming import describe_touch
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.calibration import objects_file
+from tacshade_edge.calibration.files import objects_file
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import LADDER, PROFILES
+from tacshade_edge.sensor.recognition.naming import describe_touch
 from tacshade_edge.types import Calibration, Frame
 
 pytestmark = [*NEEDS_BROKER, pytest.mark.slow]

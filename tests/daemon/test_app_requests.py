@@ -17,11 +17,11 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, simulated
 from support.running_app import BASE, NEEDS_BROKER, Live, assert_accounted, paced, switched
 
-from tacshade_edge.core.contact import untouched
-from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.daemon import profiles
-from tacshade_edge.protocol import wire
-from tacshade_edge.storage.calibration import calibration_file, reference_file
+from tacshade_edge.calibration.files import calibration_file, reference_file
+from tacshade_edge.daemon import active_profile
+from tacshade_edge.sensor.contact import untouched
+from tacshade_edge.sensor.profiles import LADDER, PROFILES
+from tacshade_edge.wire import binary
 from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_BROKER
@@ -54,7 +54,7 @@ def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
         )
         touch.set()
         heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
-        assert wire.decode(heights[-1]).calibration_crc32 == crc
+        assert binary.decode(heights[-1]).calibration_crc32 == crc
         assert live.ask("reference")["reason_code"] == "frame_in_contact"
 
 
@@ -191,7 +191,7 @@ def test_auto_steps_down_under_a_load_and_up_after_it_and_says_so(
 ) -> None:
     caplog.set_level(logging.INFO)
     for name, value in (("PATIENCE_S", 0.2), ("WINDOW_FRAMES", 15), ("LATE_FRAMES", 2)):
-        monkeypatch.setattr(profiles, name, value)
+        monkeypatch.setattr(active_profile, name, value)
     budget_ms = 1000  # of a test's machine, which has other work too
     source = Late(scripted(paced(pictures.touched, period_s=0.005)))
     ladder = list(LADDER)

@@ -16,13 +16,13 @@ from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
 from support.running_app import NEEDS_BROKER, Live, paced
 
 from tacshade_edge.cli import main
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.serial.pose import PoseValues
-from tacshade_edge.simulator.pad import Bar, Pad, scan
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.storage.stitching.stitch_file import StitchFile
-from tacshade_edge.storage.tables.frame_table import read_table
+from tacshade_edge.lab.simulator.pad import Bar, Pad, scan
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.recording.frame_table import read_table
+from tacshade_edge.robot.pose import PoseValues
+from tacshade_edge.stitching.stitch_file import StitchFile
 from tacshade_edge.types import U8
+from tacshade_edge.wire import binary
 from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot, motion
 
@@ -70,12 +70,14 @@ def test_poses_and_commands_from_the_line_to_a_subscriber(
         assert "frames=10 calibration_crc32=" in answer("REFERENCE")
         assert "camera=streaming fps=" in answer("STATUS")
         touched.set()
-        wait_until(lambda: any(wire.decode(p).pose for p in live.payloads("height")), 10, "a pose")
+        wait_until(
+            lambda: any(binary.decode(p).pose for p in live.payloads("height")), 10, "a pose"
+        )
         assert " contact=1 depth_mm=" in answer("CAPTURE")
         refused = answer("REFERENCE")
         assert refused.startswith("ERR")
         assert "found a contact" in refused
-        for message in map(wire.decode, live.payloads("height")):
+        for message in map(binary.decode, live.payloads("height")):
             if message.pose is not None:
                 assert_near(
                     message.pose, message.t_ns, 63 * (message.pose_error_us / 1e6 + 1e-4) + 0.02
@@ -255,7 +257,7 @@ def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> No
         rows, cols = np.nonzero(known)
         x_mm, y_mm = npz["x0_mm"] + cols * npz["step_mm"], npz["y0_mm"] + rows * npz["step_mm"]
         expected = np.column_stack((x_mm, y_mm, npz["z_mm"][known])).astype(np.float32)
-    cloud = wire.decode(cell.live.payloads("map/cloud")[-1])
-    assert isinstance(cloud, wire.CloudMessage)
+    cloud = binary.decode(cell.live.payloads("map/cloud")[-1])
+    assert isinstance(cloud, binary.CloudMessage)
     assert cloud.seq == 5
     np.testing.assert_array_equal(cloud.points_mm, expected)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from support.running_app import BASE, NEEDS_BROKER, Live
 
+from tacshade_edge.camera import sources
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.factories import sources
-from tacshade_edge.protocol import wire
 from tacshade_edge.settings import load
+from tacshade_edge.wire import binary
 from tools.faults.rig import write_posed_images
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import painted_calibration
@@ -24,10 +24,10 @@ STREAMS = {"height", "cloud", "shear", "sigma", "touch", "contact", "preview"}
 RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}
 OF_A_SESSION = {"map/revision", "map/cloud", "map/final", "res/stitch"}
 KINDS = {
-    wire.HeightMessage: "height",
-    wire.CloudMessage: "cloud",
-    wire.ShearMessage: "shear",
-    wire.SigmaMessage: "sigma",
+    binary.HeightMessage: "height",
+    binary.CloudMessage: "cloud",
+    binary.ShearMessage: "shear",
+    binary.SigmaMessage: "sigma",
 }
 
 
@@ -36,7 +36,7 @@ def kind_of(payload: bytes) -> str:
     if payload.startswith(b"\xff\xd8\xff"):
         return "image/jpeg"
     try:
-        return f"application/vnd.tacshade.{KINDS[type(wire.decode(payload))]}"
+        return f"application/vnd.tacshade.{KINDS[type(binary.decode(payload))]}"
     except DecodeError:
         pass
     try:

@@ -13,11 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
-from tacshade_edge.daemon.observer import FrameObserver, FrameResult, SourceState
-from tacshade_edge.daemon.pipeline import (
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
+from tacshade_edge.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.pipeline.observer import FrameObserver, FrameResult, SourceState
+from tacshade_edge.pipeline.pipeline import (
     LOOK_EVERY,
     Crash,
     Grab,
@@ -26,9 +25,10 @@ from tacshade_edge.daemon.pipeline import (
     Reconstruct,
     crashes_to,
 )
-from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
-from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 from tools.testbed.patience import patience
 

@@ -15,30 +15,30 @@ import numpy as np
 import pytest
 from support.published_sensor import bump, unmeasured
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.ledger import FrameLedger, FrameOutcome, Timings
-from tacshade_edge.daemon.observer import FrameObserver, FrameResult
-from tacshade_edge.daemon.profiles import ActiveProfile
-from tacshade_edge.daemon.publishing import (
+from tacshade_edge.daemon.active_profile import ActiveProfile
+from tacshade_edge.daemon.live_recorder import LiveRecorder
+from tacshade_edge.daemon.reference_in_use import References
+from tacshade_edge.mqtt.link import MqttLink
+from tacshade_edge.mqtt.publishing import (
     STATUS,
     WIDTH_PX,
     ContactEvents,
-    Health,
+    HealthReport,
     HomeAssistant,
     Preview,
     Publisher,
     discovery_topics,
 )
-from tacshade_edge.daemon.record import LiveRecorder
-from tacshade_edge.daemon.references import References
-from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.daemon.session_worker import Sessions
-from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.codec import encode_json
-from tacshade_edge.protocol.topics import ContactEvent, decode_contact_event
+from tacshade_edge.pipeline.ledger import FrameLedger, FrameOutcome, Timings
+from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
+from tacshade_edge.robot.robot import Robot
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.stitching.session_worker import Sessions
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
+from tacshade_edge.wire import binary
+from tacshade_edge.wire.codec import encode_json
+from tacshade_edge.wire.topics import ContactEvent, decode_contact_event
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import wait_until
@@ -80,7 +80,7 @@ class Played:
         return [seq for s, _, seq in self.offers if s == stream]
 
     def decoded(self, stream: str) -> list[Any]:
-        return [wire.decode(payload) for s, payload, _ in self.offers if s == stream]
+        return [binary.decode(payload) for s, payload, _ in self.offers if s == stream]
 
 
 def test_contact_is_published_with_every_frame_and_its_end_once(
@@ -285,7 +285,7 @@ def test_a_touch_of_unknown_depth_is_published_when_it_begins_and_ends_and_at_10
         stream: [(seq, payload) for name, payload, seq in offers if name == stream]
         for stream in ("height", "contact", "touch")
     }
-    heights = [wire.decode(payload) for _, payload in sent["height"]]
+    heights = [binary.decode(payload) for _, payload in sent["height"]]
     assert [(h.seq, h.contact, h.touched, h.degraded) for h in heights] == [
         (1, False, True, True),
         (8, True, False, False),
@@ -322,7 +322,7 @@ def test_a_touch_of_unknown_depth_continues_a_contact_and_begins_one_if_it_lasts
 
 
 def test_frames_with_a_touch_of_unknown_depth_are_counted(calibration: Calibration) -> None:
-    health = Health(FrameLedger(), Timings())
+    health = HealthReport(FrameLedger(), Timings())
     shown(health, calibration, bump(0, 2.0, 236, 328, 8), unmeasured(1), unmeasured(2))
     assert health.snapshot(0, {})["touched_frames"] == 2
 
@@ -332,7 +332,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs/reference/mqtt/health.md"
 
 def test_rates_are_between_two_snapshots() -> None:
     ledger = FrameLedger()
-    health = Health(ledger, Timings())
+    health = HealthReport(ledger, Timings())
     ends: list[FrameOutcome] = ["published", "published", "without_contact", "unasked", "invalid"]
     for seq, end in enumerate(ends):
         ledger.captured(seq)
@@ -358,7 +358,7 @@ def test_every_key_is_documented() -> None:
     }
     timings = Timings()
     timings.add({"wait": 1.0, "latency": 2.0})
-    message = json.loads(encode_json(Health(FrameLedger(), timings).snapshot(0, {})))
+    message = json.loads(encode_json(HealthReport(FrameLedger(), timings).snapshot(0, {})))
     reported = {
         each.health_key for each in (Robot, Sessions, References, LiveRecorder, ActiveProfile)
     }

@@ -10,15 +10,15 @@ from typing import Any, cast
 import pytest
 from support.resting_sensor import BATCH_S, Resting
 
-from tacshade_edge.core.contact import untouched
-from tacshade_edge.core.contact.rest import Evidence
-from tacshade_edge.core.contact.untouched import FACTOR, PERIOD_S, REST_S
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.daemon.references import References
+from tacshade_edge.calibration.files.calibration_file import with_crc
+from tacshade_edge.daemon.reference_in_use import References
+from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.sensor.contact import untouched
+from tacshade_edge.sensor.contact.rest import Evidence
+from tacshade_edge.sensor.contact.untouched import FACTOR, PERIOD_S, REST_S
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, RestLimits
 
 

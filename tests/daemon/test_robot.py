@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from support.robot_side import Side
 
-from tacshade_edge.daemon.observer import WAITING_MAX, FrameResult
-from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.results import ReferenceTaken, SessionBegun
+from tacshade_edge.pipeline.observer import WAITING_MAX, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.types import (
     Calibration,
     Frame,
@@ -24,6 +23,7 @@ from tacshade_edge.types import (
     Pose,
     Reconstruction,
 )
+from tacshade_edge.wire.results import ReferenceTaken, SessionBegun
 from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot, motion
 
@@ -195,7 +195,7 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
 def test_a_port_that_is_away_and_one_that_is_taken(
     link: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.daemon.robot.SILENT_NS", 10_000_000)
+    monkeypatch.setattr("tacshade_edge.robot.robot.SILENT_NS", 10_000_000)
     side = Side(link)
     with side:
         assert side.until("away", state="away")["reason"] in (
@@ -227,7 +227,7 @@ def test_a_capture_without_a_frame_ends_and_too_many_are_refused(
             10,
             "BUSY",
         )
-        monkeypatch.setattr("tacshade_edge.daemon.observer.FRAME_TIMEOUT_NS", 0)
+        monkeypatch.setattr("tacshade_edge.pipeline.observer.FRAME_TIMEOUT_NS", 0)
         wait_until(
             lambda: sum("TIMEOUT no frame" in r for r in robot.replies.values()) == 16,
             10,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from support.robot_side import Side
 
-from tacshade_edge.daemon.robot import SharedLine, share_lines
+from tacshade_edge.robot.robot import SharedLine, share_lines
 from tacshade_edge.settings import Document, Serial, Settings
 from tools.testbed.patience import stretched, wait_until
 from tools.testbed.robot import PtyRobot

@@ -12,16 +12,16 @@ from itertools import count
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.daemon.serial_line import TouchEvents
-from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.results import TouchSwitched
-from tacshade_edge.protocol.serial.commands import TouchAsked, object_text
-from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
-from tacshade_edge.protocol.serial.line import seal
+from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.framing import cobs_decode, cobs_encode
+from tacshade_edge.robot.line import seal
+from tacshade_edge.robot.port import SerialPort
+from tacshade_edge.robot.robot import Robot
+from tacshade_edge.robot.serial_line import TouchEvents
+from tacshade_edge.robot.verbs import TouchAsked, object_text
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, Touch
+from tacshade_edge.wire.results import TouchSwitched
 from tools.testbed.patience import patience, wait_until
 
 NS = 1_000_000_000

@@ -10,16 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.core.stitching.stitcher import Raster
-from tacshade_edge.daemon import session as map_publisher
-from tacshade_edge.daemon.session import MapPublisher, MapRevision, Session, thinned_points
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol.results import (
-    PressAdded,
-)
-from tacshade_edge.protocol.wire import CloudMessage, decode
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.storage.stitching.stitch_file import StitchFile
+from tacshade_edge.stitching import session as map_publisher
+from tacshade_edge.stitching.session import MapPublisher, MapRevision, StitchSession, thinned_points
+from tacshade_edge.stitching.stitch_file import StitchFile
+from tacshade_edge.stitching.stitcher import Raster
+from tacshade_edge.wire.binary import CloudMessage, decode
+from tacshade_edge.wire.results import PressAdded
 from tools.testbed.bumpy_surface import grid_poses, press_of
 from tools.testbed.painted_sensor import painted_calibration
 
@@ -80,8 +78,8 @@ def test_a_large_map_is_reported_with_fewer_points(monkeypatch: pytest.MonkeyPat
 POSES = grid_poses()[:3]
 
 
-def begun(folder: Path, name: str = "pad") -> Session:
-    session = Session.begin(folder, name, painted_calibration(), "left")
+def begun(folder: Path, name: str = "pad") -> StitchSession:
+    session = StitchSession.begin(folder, name, painted_calibration(), "left")
     for k, pose in enumerate(POSES):
         assert session.add(press_of(pose, k), pose, 10 + k) == PressAdded(k + 1, 10 + k, 600)
     return session
@@ -101,7 +99,7 @@ def test_the_files_of_a_session_are_those_of_every_version(tmp_path: Path) -> No
     (folder / "presses.bin").write_bytes(
         struct.pack("<4sII", b"TCSP", len(body), zlib.crc32(body)) + body
     )
-    session = Session.resume(tmp_path, "left")
+    session = StitchSession.resume(tmp_path, "left")
     assert session is not None
     assert (session.name, session.presses, session.points) == ("old", 1, 3)
     np.testing.assert_allclose(session.map_revision().raster().points()[0], (100, 200, 20))
@@ -116,7 +114,7 @@ def test_a_full_map_refuses_and_an_aborted_session_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = begun(tmp_path)
-    monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.POINTS_MAX", 2000)
+    monkeypatch.setattr("tacshade_edge.stitching.stitcher.POINTS_MAX", 2000)
     with pytest.raises(DeviceError) as caught:
         session.add(press_of(POSES[0], 0), POSES[0], 13)
     assert caught.value.reason.code == ReasonCode.MAP_FULL

@@ -17,14 +17,17 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 
-from tacshade_edge.core.stitching.stitcher import StitchedMap, Stitcher
-from tacshade_edge.daemon.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
-from tacshade_edge.daemon.robot import Robot as SerialRobot
-from tacshade_edge.daemon.session import MapRevision
-from tacshade_edge.daemon.session_worker import Sessions
-from tacshade_edge.devices.serial.port import SerialPort
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.protocol.results import (
+from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.port import SerialPort
+from tacshade_edge.robot.robot import Robot as SerialRobot
+from tacshade_edge.stitching.session import MapRevision
+from tacshade_edge.stitching.session_worker import Sessions
+from tacshade_edge.stitching.stitch_file import open_session
+from tacshade_edge.stitching.stitcher import FinishedMap, Stitcher
+from tacshade_edge.types import Frame, Need, Pose, Reconstruction
+from tacshade_edge.wire.results import (
     NoSession,
     PressAdded,
     SessionAborted,
@@ -33,9 +36,6 @@ from tacshade_edge.protocol.results import (
     SessionResult,
     SessionStatus,
 )
-from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.storage.stitching.stitch_file import open_session
-from tacshade_edge.types import Frame, Need, Pose, Reconstruction
 from tools.testbed.patience import patience, wait_until
 
 
@@ -276,7 +276,7 @@ def test_no_frame_in_time(
     answers = robot.begin("ADD")
     robot.sessions.poll()
     assert answers.empty()
-    monkeypatch.setattr("tacshade_edge.daemon.observer.FRAME_TIMEOUT_NS", -1)
+    monkeypatch.setattr("tacshade_edge.pipeline.observer.FRAME_TIMEOUT_NS", -1)
     robot.sessions.poll()
     assert code(wait(answers)) == ReasonCode.TIMEOUT
 
@@ -344,7 +344,7 @@ def test_a_frame_of_unknown_depth_is_no_press_and_ends_none(
 def test_a_deferred_map_is_published_though_nothing_more_comes(
     robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_edge.daemon.session_worker.DEFERRED_S", 0.01)
+    monkeypatch.setattr("tacshade_edge.stitching.session_worker.DEFERRED_S", 0.01)
     published: list[int] = []
 
     def publish(revision: MapRevision) -> bool:
@@ -380,7 +380,7 @@ def test_what_was_not_added_is_counted_and_published(
     assert code(robot.ask("ADD")) is ReasonCode.NO_SESSION
     robot.show(nothing)
     robot.ask("BEGIN")
-    monkeypatch.setattr("tacshade_edge.core.stitching.press_points.REST_NS", 0)
+    monkeypatch.setattr("tacshade_edge.stitching.press_points.REST_NS", 0)
     for _ in range(2):
         robot.show(ball, pose=False)
     wait_until(lambda: robot.status()["missed"] == 1, 20, "missed")
@@ -403,7 +403,7 @@ def test_a_stop_does_not_wait_for_a_map(
     robot.add(ball)
     finish, go_on = Stitcher.finish, threading.Event()
 
-    def slow(stitcher: Stitcher) -> StitchedMap:
+    def slow(stitcher: Stitcher) -> FinishedMap:
         assert go_on.wait(patience(20))
         return finish(stitcher)
 

@@ -21,15 +21,15 @@ import cv2
 import pytest
 from support.running_app import NEEDS_BROKER
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.daemon.supervisor import STEADY_S, Supervisor
-from tacshade_edge.devices.mqtt.client import BrokerAddress
-from tacshade_edge.doctor.broker import check_broker, judge_daemon
+from tacshade_edge.doctor.broker_check import check_broker, judge_daemon
 from tacshade_edge.doctor.machine import Process
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.topics import HandObjects, decode_hand
+from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.settings import load_all
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.wire import binary
+from tacshade_edge.wire.topics import HandObjects, decode_hand
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
@@ -246,7 +246,7 @@ def test_one_robots_line_gives_poses_to_every_sensor(
     link = Path(f"/dev/shm/tacshade-hand-{os.getpid()}")
 
     def posed(name: str) -> bool:
-        return any(wire.decode(payload).pose for payload in seen.of(f"tacshade/{name}/height"))
+        return any(binary.decode(payload).pose for payload in seen.of(f"tacshade/{name}/height"))
 
     def shared() -> tuple[str, str]:
         serial = last(seen, "tacshade/index/status/serial")

@@ -19,16 +19,16 @@ import pytest
 from support.running_app import GONE, Running, paced
 
 from tacshade_edge import libsystemd
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.daemon import app as app_module
 from tacshade_edge.daemon import systemd
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.observer import FrameObserver, FrameResult
-from tacshade_edge.daemon.pipeline import Grab, Mailbox, Reconstruct
 from tacshade_edge.daemon.systemd import STOP_USEC, Service, notify
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.pipeline.ledger import FrameLedger, Timings
+from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
+from tacshade_edge.pipeline.pipeline import Grab, Mailbox, Reconstruct
 from tacshade_edge.settings import load
-from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Calibration, Frame, Need
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import painted_calibration

@@ -15,8 +15,8 @@ from support.dashboard_process import dashboard
 from support.page_server import run
 from support.published_sensor import PublishedSensor
 
-from tacshade_edge.demo.hand import make_calibration
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tools.testbed.mqtt_rig import Broker, Subscriber
 
 

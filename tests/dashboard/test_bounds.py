@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from support.published_sensor import calibration
 
-from tacshade_edge.protocol import messages
+from tacshade_edge.wire import messages
 from tools.testbed.patience import patience
 
 NODE = shutil.which("node")

@@ -45,10 +45,10 @@ from support.shown_page import (
     until_shown,
 )
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.protocol import codec, messages
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Reconstruction, Slip, Touch
+from tacshade_edge.wire import codec, messages
 from tools.testbed.mqtt_rig import Broker
 from tools.testbed.patience import wait_until
 

@@ -18,10 +18,10 @@ from support.dashboard_process import dashboard
 from support.published_sensor import PublishedSensor, bump
 from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
-from tacshade_edge.protocol.hand import away, encode_hand
-from tacshade_edge.protocol.topics import Finger, HandObject, HandObjects
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
+from tacshade_edge.wire.hand_messages import away, encode_hand
+from tacshade_edge.wire.topics import Finger, HandObject, HandObjects
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
 

@@ -21,7 +21,7 @@ from support.shown_page import (
     until_mapped,
 )
 
-from tacshade_edge.protocol import messages
+from tacshade_edge.wire import messages
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import wait_until
 

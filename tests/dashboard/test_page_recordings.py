@@ -20,8 +20,8 @@ from support.dashboard_process import dashboard
 from support.recordings import recorded, write_recording
 from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.dashboard import recordings
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

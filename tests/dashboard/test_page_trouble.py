@@ -25,7 +25,7 @@ from support.shown_page import (
     until_shown,
 )
 
-from tacshade_edge.protocol import wire
+from tacshade_edge.wire import binary
 from tools.testbed.mqtt_rig import Broker, Subscriber, certificate
 from tools.testbed.patience import wait_until
 
@@ -59,7 +59,7 @@ def test_strange_messages_are_counted_and_shown_as_text(
     until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
     unfold_health(page)
     assert js(page, "tacshade.undecodable") == 0
-    sound = wire.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
+    sound = binary.encode_height(bump(2, 2.0, 200, 300, step_px=4), calibration_crc32=1)
     for count, damaged in enumerate(
         [b"", sound[:50], sound[:-1], sound[:200] + b"!" + sound[201:]], 1
     ):

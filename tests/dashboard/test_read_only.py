@@ -12,7 +12,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from tacshade_edge.dashboard.bridge import PACKET_BYTES_MAX, ReadOnly
+from tacshade_edge.dashboard.relay import PACKET_BYTES_MAX, ReadOnly
 from tacshade_edge.errors import DecodeError
 from tools.testbed.patience import patience
 

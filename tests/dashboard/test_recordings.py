@@ -19,9 +19,10 @@ from support.recordings import LONG_AGO_S, recorded
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.storage.recording.recorder import McapRecorder, Recorder, png_of
+from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, painted_calibration
 
@@ -48,8 +49,8 @@ def test_one_that_is_being_written_is_left_alone_and_one_that_was_cut_off_is_not
     tmp_path: Path, kind: str
 ) -> None:
     path = tmp_path / "run"
-    recorder = Recorder(path) if kind == "folder" else McapRecorder(path, "t")
-    recorder.begin("", painted_calibration())
+    recorder = RecordingWriter(path) if kind == "folder" else McapRecorder(path, "t")
+    recorder.begin("", packed(painted_calibration()))
     recorder.add(Frame(0, 1, 1, FREE), png_of(FREE))
     for each in (path, *path.iterdir()):  # no frame for a long time
         os.utime(each, (LONG_AGO_S, LONG_AGO_S))

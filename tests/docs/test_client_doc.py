@@ -15,14 +15,14 @@ import pytest
 import tacshade_client
 from support.published_sensor import CRC, bump, calibration
 
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience, wait_until
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/client.md").read_text()
 LISTEN = (ROOT / "docs/how-to/listen.md").read_text()
-HEIGHT = wire.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
+HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
 pytestmark = [
     pytest.mark.broker,
     pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),

@@ -18,8 +18,8 @@ from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
 from support.recordings import record_hand
 
 import tacshade_edge as ts
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.patience import patience
 

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.core.stitching.stitcher import Raster
-from tacshade_edge.daemon.session import MapPublisher, MapRevision
-from tacshade_edge.protocol import wire
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.stitching.session import MapPublisher, MapRevision
+from tacshade_edge.stitching.stitcher import Raster
+from tacshade_edge.wire import binary
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs/reference/mqtt"
 WIRE_JS = ROOT / "tacshade_edge" / "dashboard" / "static" / "wire.js"
-VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "wire.json").read_text())
-HAND_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "hand.json").read_text())
-TOUCH_VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "touch.json").read_text())
+VECTORS = json.loads((ROOT / "tests" / "wire" / "vectors" / "wire.json").read_text())
+HAND_VECTORS = json.loads((ROOT / "tests" / "wire" / "vectors" / "hand.json").read_text())
+TOUCH_VECTORS = json.loads((ROOT / "tests" / "wire" / "vectors" / "touch.json").read_text())
 NODE = shutil.which("node")
 FLAGS = {1: "contact", 2: "invalid", 4: "saturated", 8: "degraded", 32: "touched"}
 
@@ -127,8 +127,8 @@ def test_what_is_reported_of_a_map_is_what_the_text_shows() -> None:
     MapPublisher(reported.__setitem__).publish(revision)
     assert json.loads(reported["map/final"]) == json.loads(code("json", "map"))
     vector = next(v["expect"] for v in VECTORS if v["name"] == "map cloud")
-    cloud = wire.decode(reported["map/cloud"])
-    assert isinstance(cloud, wire.CloudMessage)
+    cloud = binary.decode(reported["map/cloud"])
+    assert isinstance(cloud, binary.CloudMessage)
     assert (cloud.points_mm.ravel().tolist(), cloud.labels.tolist()) == (
         vector["points_mm"],
         vector["labels"],
@@ -171,4 +171,4 @@ def test_header_table_is_without_a_gap() -> None:
             continue
         assert int(offset) == position
         position += sizes[kind]
-    assert position == wire.HEADER_BYTES
+    assert position == binary.HEADER_BYTES

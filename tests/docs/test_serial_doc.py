@@ -19,19 +19,19 @@ from pathlib import Path
 
 import pytest
 
-from tacshade_edge.daemon.robot import Robot
-from tacshade_edge.daemon.serial_line import TouchEvents
-from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.serial.commands import USAGE
-from tacshade_edge.protocol.serial.framing import LinkCounts
-from tacshade_edge.protocol.serial.link import SerialLink
+from tacshade_edge.robot.framing import LinkCounts
+from tacshade_edge.robot.port import SerialPort
+from tacshade_edge.robot.robot import Robot
+from tacshade_edge.robot.serial_line import TouchEvents
+from tacshade_edge.robot.serial_link import SerialLink
+from tacshade_edge.robot.verbs import USAGE
 from tacshade_edge.types import QUANTITIES
 from tools.examples.serial.host import Daemon
 from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/serial.md").read_text()
-VECTORS = json.loads((ROOT / "tests" / "protocol" / "vectors" / "serial.json").read_text())
+VECTORS = json.loads((ROOT / "tests" / "wire" / "vectors" / "serial.json").read_text())
 ROBOT_H = ROOT / "tools/examples/serial/robot.h"
 GCC = shutil.which("gcc")
 

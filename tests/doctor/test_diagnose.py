@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from support.findings import checked
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.doctor import Finding, fault, ok
-from tacshade_edge.doctor.broker import DaemonState
+from tacshade_edge.doctor.broker_check import DaemonState
 from tacshade_edge.doctor.bundle import Seen, write_bundle
-from tacshade_edge.doctor.camera import Captured
+from tacshade_edge.doctor.camera_check import Captured
 from tacshade_edge.doctor.diagnose import check_settings, diagnose, start, wait_for
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings import Document, load
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience

@@ -24,7 +24,7 @@ from support.vivid import (
     unload_driver,
 )
 
-from tacshade_edge.devices.camera.v4l2 import V4l2Source
+from tacshade_edge.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
 from tools.testbed.patience import stretched, wait_until
 

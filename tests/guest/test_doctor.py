@@ -12,11 +12,17 @@ from pathlib import Path
 import pytest
 from support.vivid import NODE, control, plug_webcam
 
-from tacshade_edge.devices.camera.v4l2_node import frame_sizes
+from tacshade_edge.camera import sources
+from tacshade_edge.camera.v4l2_node import frame_sizes
 from tacshade_edge.doctor import Finding
-from tacshade_edge.doctor.camera import Captured, capture, check_device, check_frames, list_cameras
+from tacshade_edge.doctor.camera_check import (
+    Captured,
+    capture,
+    check_device,
+    check_frames,
+    list_cameras,
+)
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.factories import sources
 from tacshade_edge.settings import V4l2
 
 MACHINE = Machine()

@@ -23,11 +23,11 @@ import pytest
 from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
 from support.vivid import NODE, UDEV, control, unload_driver
 
-from tacshade_edge.doctor.camera import capture, check_frames
+from tacshade_edge.camera import sources
+from tacshade_edge.doctor.camera_check import capture, check_frames
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.factories import sources
-from tacshade_edge.protocol import wire
 from tacshade_edge.settings import V4l2
+from tacshade_edge.wire import binary
 from tools.testbed.mqtt_rig import Subscriber
 from tools.testbed.patience import patience, stretched, wait_until
 
@@ -168,7 +168,7 @@ def streams_unprivileged(before: dict[str, str]) -> None:
 
         def found() -> bool:
             new = [seen.messages.pop(0).payload for _ in range(len(seen.messages))]
-            maps = [wire.decode(data).height_mm for data in new]  # type: ignore[union-attr]
+            maps = [binary.decode(data).height_mm for data in new]  # type: ignore[union-attr]
             depths_mm.extend(float(np.nanmax(each)) for each in maps)
             return 0 in depths_mm and any(abs(each - depth_mm) < 0.001 for each in depths_mm)
 

@@ -18,7 +18,7 @@ from tacshade_edge.cli import main
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.lab import cluster
 from tacshade_edge.lab.parallel import Report, ThisProcess, Workers, workers
-from tacshade_edge.studies.evaluate.work import SensorName, evaluate
+from tacshade_edge.lab.studies.evaluate.work import SensorName, evaluate
 from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.filterwarnings(  # Dask's, of sockets that it closes late

@@ -14,7 +14,7 @@ import pytest
 from support.calibrated_sensor import calibrated
 
 import tacshade_edge as ts
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
 
 CLOSED = "127.0.0.1:1"
 

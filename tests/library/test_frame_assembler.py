@@ -17,13 +17,13 @@ from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.published_sensor import CRC, bump, dragged, uncertain, unmeasured
 from support.published_sensor import calibration as published_calibration
 
-from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.publishing import Publisher
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.mqtt.publishing import Publisher
+from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Frame, Pose, Reconstruction, Touch
+from tacshade_edge.wire import binary, messages
 
 POSE = Pose(5, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
 INFO: dict[str, Any] = json.loads(
@@ -143,18 +143,18 @@ def show(
 ) -> None:
     """Its frame, with shear and error of another."""
     other = other or result
-    frames.add("height", wire.encode_height(result, calibration_crc32=CRC))
-    frames.add("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+    frames.add("height", binary.encode_height(result, calibration_crc32=CRC))
+    frames.add("cloud", binary.encode_cloud(result, calibration_crc32=CRC))
     if other.shear_mm is not None:
-        frames.add("shear", wire.encode_shear(other, calibration_crc32=CRC))
+        frames.add("shear", binary.encode_shear(other, calibration_crc32=CRC))
     if other.sigma_mm is not None:
-        frames.add("sigma", wire.encode_sigma(other, calibration_crc32=CRC))
+        frames.add("sigma", binary.encode_sigma(other, calibration_crc32=CRC))
     frames.add("contact", messages.encode_contact(result, fps=30.0))
 
 
 def test_what_is_not_whole_or_not_placed_is_passed_over() -> None:
     incomplete, unplaced, other, newer = faulty(), FrameAssembler(), faulty(), faulty()
-    incomplete.add("height", wire.encode_height(TOUCHED, calibration_crc32=CRC))
+    incomplete.add("height", binary.encode_height(TOUCHED, calibration_crc32=CRC))
     incomplete.add("contact", messages.encode_contact(TOUCHED, fps=30.0))
     assert not incomplete.whole
     for frames in (unplaced, other, newer):
@@ -210,14 +210,14 @@ def test_a_touch_of_another_frame_and_one_that_is_none_are_nobodys() -> None:
 
 def test_what_does_not_fit_together_passes_a_frame_over() -> None:
     frames, free = faulty(), dragged(bump(7, 0.0, 236.0, 328.0, 8), 0.0, 0.0)
-    frames.add("shear", wire.encode_shear(free, calibration_crc32=CRC))  # without a height
+    frames.add("shear", binary.encode_shear(free, calibration_crc32=CRC))  # without a height
     frames.add("contact", messages.encode_contact(free, fps=30.0))
     assert frames.take() is None
     frames = faulty()
     show(frames, bump(7, 25.0, 236.0, 328.0, 8))
     assert frames.take() is None
-    frames.add("height", wire.encode_cloud(TOUCHED, calibration_crc32=CRC))
-    frames.add("cloud", wire.encode_cloud(TOUCHED, calibration_crc32=CRC))
+    frames.add("height", binary.encode_cloud(TOUCHED, calibration_crc32=CRC))
+    frames.add("cloud", binary.encode_cloud(TOUCHED, calibration_crc32=CRC))
     frames.add("contact", messages.encode_contact(TOUCHED, fps=30.0))
     assert frames.take() is None
     assert frames.passed_over == 2
@@ -267,9 +267,9 @@ def test_a_touch_of_unknown_depth_is_neither_contact_nor_none() -> None:
 
 def own(result: Reconstruction) -> list[tuple[str, bytes]]:
     """The messages of a frame of the published sensor."""
-    crc32 = wire.Taken(calibration_crc32=CRC, pose=None, pose_error_us=0)
+    crc32 = binary.Taken(calibration_crc32=CRC, pose=None, pose_error_us=0)
     return [
-        ("height", wire.encode_height(result, **crc32)),
-        *([("cloud", wire.encode_cloud(result, **crc32))] if result.contact else []),
+        ("height", binary.encode_height(result, **crc32)),
+        *([("cloud", binary.encode_cloud(result, **crc32))] if result.contact else []),
         ("contact", messages.encode_contact(result, fps=1.0)),
     ]

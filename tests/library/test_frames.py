@@ -10,9 +10,9 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, unloaded
 
 import tacshade_edge as ts
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.library import frames
-from tacshade_edge.storage.calibration import calibration_file
 from tacshade_edge.types import Frame
 
 

@@ -15,8 +15,8 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 import tacshade_edge as ts
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.storage.calibration import calibration_file
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from support.booted_machine import CHECKOUT, cannot_boot, fetch, seen_there
 from support.calibrated_sensor import FULL, calibrated
 from support.shared import once_for_all_workers
 
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
 from tools.release.package_debian import CONFFILES, RELEASES
 from tools.release.version import version
 from tools.testbed.patience import stretched
@@ -213,7 +213,7 @@ def test_the_watchdog_kills_a_process_whose_reconstruction_hangs(seen: dict[str,
     hangs = seen["hangs"]
     assert hangs["without"]["StatusText"] == "streaming, 0.0 frames/s"
     assert "Watchdog timeout" in hangs["journal"]
-    assert "daemon/pipeline.py" in hangs["journal"].split("Watchdog timeout")[-1], (
+    assert "pipeline/pipeline.py" in hangs["journal"].split("Watchdog timeout")[-1], (
         "it logs where each thread was"
     )
     assert streams(hangs["after"])
@@ -263,7 +263,7 @@ def test_the_package_says_what_it_is(package: Path) -> None:
     names = {row[5].removeprefix(".") for row in rows}
     assert {f"/{name}" for name in CONFFILES} <= names
     packages = f"/opt/tacshade-edge/lib/python{python}/site-packages"
-    assert f"{packages}/tacshade_edge/inference/weights/fast.onnx" in names
+    assert f"{packages}/tacshade_edge/sensor/inference/weights/fast.onnx" in names
     assert [name for name in names if name.endswith((".pyc", "direct_url.json"))] == []
 
 

@@ -18,8 +18,8 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from tacshade_edge.protocol.topics import decode_hand
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.wire.topics import decode_hand
 from tools.testbed.mqtt_rig import MOSQUITTO, free_port
 from tools.testbed.painted_sensor import TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

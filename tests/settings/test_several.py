@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tacshade_edge.calibration.files.indenter_file import read_indenters_file
+from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import Rpicam, Serial, Simulated, load, load_all, load_hand, strict_yaml
-from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.storage.tables.indenters import read_indenters_file
 
 TWO = """\
 profile: fast

@@ -17,9 +17,9 @@ from support.examples import examples
 from support.extremes import EXTREME_IMAGES, Maker, makers
 from support.soundness import everything, sound_step
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Binarisation, Calibration, Disc, Frame, Polarity
 
 

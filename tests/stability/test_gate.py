@@ -13,11 +13,11 @@ from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, s
 from support.extremes import constant, ramp
 from support.soundness import sound_step
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.model import SensorModel
+from tacshade_edge.lab.simulator import camera_faults
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8
 
 MODELS = {"full": FULL, "half": HALF, "tactip": TACTIP}

@@ -16,15 +16,15 @@ from support.examples import examples
 from support.extremes import EXTREME_IMAGES, noise
 from support.soundness import sound_step
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.depth.learned import DEEPEST_RADII
-from tacshade_edge.core.geometry.disc import disc_mask
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.sensor.depth.learned import DEEPEST_RADII
+from tacshade_edge.sensor.geometry.disc import disc_mask
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Disc, Geometry
 
 ROWS, COLS, PITCH_PX = 96, 128, 8.0
@@ -182,6 +182,8 @@ def test_a_press_is_found_at_every_size(rows: int, cols: int, profile: str) -> N
 def test_no_extreme_image_is_taken_for_a_sensor(rows: int, cols: int, every: int) -> None:
     for name, image in list(EXTREME_IMAGES.items())[::every]:
         with pytest.raises(ConfigError) as refusal:
-            calibrate(Sensor(20.0, 30.0, 50.0, "bright"), [np.ascontiguousarray(image(rows, cols))])
+            calibrate(
+                StatedSensor(20.0, 30.0, 50.0, "bright"), [np.ascontiguousarray(image(rows, cols))]
+            )
         assert "\n" not in str(refusal.value), name
         assert not re.search("nan|inf", str(refusal.value)), name

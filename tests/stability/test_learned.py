@@ -18,10 +18,10 @@ from support.examples import examples
 from support.extremes import EXTREME_IMAGES
 from support.networks import float_network
 
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.depth.learned import Inverse, LearnedInverse, known_maps
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.inference.network import WEIGHTS, load_network
+from tacshade_edge.sensor.depth import Network
+from tacshade_edge.sensor.depth.learned import Inverse, LearnedInverse, known_maps
+from tacshade_edge.sensor.inference.network import WEIGHTS, load_network
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, Disc, Geometry
 
 NAMES = [name for name, profile in PROFILES.items() if profile.network]

@@ -16,13 +16,13 @@ from hypothesis.extra.numpy import arrays
 from support.examples import examples
 from support.networks import ALL_TRUSTED
 
-from tacshade_edge.core.calibration import refit
-from tacshade_edge.core.calibration.indenters import Ball
-from tacshade_edge.core.depth.learned import Inverse
-from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import DiscRays, cell_area_mm2, disc_rays, skin_points
-from tacshade_edge.core.geometry.disc_map import CELLS
-from tacshade_edge.studies.evaluate.score import score_cloud
+from tacshade_edge.calibration import refit
+from tacshade_edge.calibration.indenters import Ball
+from tacshade_edge.lab.studies.evaluate.score import score_cloud
+from tacshade_edge.sensor.depth.learned import Inverse
+from tacshade_edge.sensor.geometry import disc_map
+from tacshade_edge.sensor.geometry.disc import DiscRays, cell_area_mm2, disc_rays, skin_points
+from tacshade_edge.sensor.geometry.disc_map import CELLS
 from tacshade_edge.types import F32, Disc, Geometry
 
 clouds = arrays(

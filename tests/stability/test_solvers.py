@@ -15,15 +15,15 @@ from hypothesis.extra.numpy import arrays
 from support.examples import examples
 from support.extremes import BEYOND, EXTREME_MAPS, any_maps, checkerboard, makers, shapes
 
-from tacshade_edge.core.depth import Depth
-from tacshade_edge.core.depth.hybrid_iteration import EPS, HybridIteration
-from tacshade_edge.core.depth.hybrid_sfs import hybrid_depth, unit_by_grey
-from tacshade_edge.core.geometry.disc import Grid, Window, disc_mask
-from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.greyscale import chambolle, normalise, shape_grey
-from tacshade_edge.core.image.preprocess import GreyMaps
-from tacshade_edge.core.image.white import BoxSums, Integrator, binarise
-from tacshade_edge.core.profiles import PROFILES
+from tacshade_edge.sensor.depth import Depth
+from tacshade_edge.sensor.depth.hybrid_iteration import EPS, HybridIteration
+from tacshade_edge.sensor.depth.hybrid_sfs import hybrid_depth, unit_by_grey
+from tacshade_edge.sensor.geometry.disc import Grid, Window, disc_mask
+from tacshade_edge.sensor.image import greyscale
+from tacshade_edge.sensor.image.greyscale import chambolle, normalise, shape_grey
+from tacshade_edge.sensor.image.preprocess import GreyMaps
+from tacshade_edge.sensor.image.white import BoxSums, Integrator, binarise
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, F64, U8, Binarisation, Bool, Disc
 from tools.testbed.hybrid_sfs_oracle import hybrid_sfs
 

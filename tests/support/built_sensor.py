@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import Window, disc_mask
-from tacshade_edge.core.image.white import binarise
+from tacshade_edge.sensor.geometry.disc import Window, disc_mask
+from tacshade_edge.sensor.image.white import binarise
 from tacshade_edge.types import F64, U8, Binarisation, Calibration, Disc, Geometry, Polarity
 
 DARK, BRIGHT = 30, 200

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from support.shared import once_for_all_workers
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.inference.network import load_networks, make_reconstructor
-from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
-from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.files.calibration_file import with_crc
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model, tactip
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, SimulatedSensor
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.sensor.inference.network import load_networks, make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.prints import Found
+    from tacshade_edge.lab.fitting.prints import Found
 
 FULL = SensorModel()
 # The same sensor through a camera of half the resolution.
@@ -34,10 +34,10 @@ TACTIP = tactip(HALF)
 EVERY_PROFILE = list(PROFILES)
 
 
-def sensor_of(model: SensorModel) -> Sensor:
+def sensor_of(model: SensorModel) -> StatedSensor:
     """The settings that a person would state for a simulated sensor."""
     known = model.geometry
-    return Sensor(
+    return StatedSensor(
         skin_radius_mm=known.skin_radius_mm,
         camera_distance_mm=known.camera_distance_mm,
         visible_half_angle_deg=known.visible_half_angle_deg,
@@ -99,7 +99,7 @@ def found_prints() -> list[Found]:
     """The prints that `calibrate --fit` finds in `HALF`'s reference,
     their pins' length stated (ten seconds).
     """
-    from tacshade_edge.fitting.identify import identify
+    from tacshade_edge.lab.fitting.identify import identify
 
     stated = {"pin_length_mm": PIN_LENGTH_MM}
     return once_for_all_workers("found prints", lambda: identify(calibrated(), stated))

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from support.calibrated_sensor import HALF, simulated, step
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedFrame
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.simulator.truth import SimulatedFrame
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Reconstruction
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "profiles"

@@ -18,9 +18,9 @@ from typing import Any
 
 from support.calibrated_sensor import HALF, calibrated, simulated
 from support.recordings import write_recording
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.simulator.script import Script, demonstration
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.lab.simulator.script import Script, demonstration
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "replay.json"
 FRAMES = 200

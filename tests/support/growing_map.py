@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.core.stitching.stitcher import SurfaceMap
-from tacshade_edge.daemon.session import MapPublisher, MapRevision
-from tacshade_edge.simulator.pad import touchpad
+from tacshade_edge.lab.simulator.pad import touchpad
+from tacshade_edge.stitching.session import MapPublisher, MapRevision
+from tacshade_edge.stitching.stitcher import SurfaceMap
 
 PAD = touchpad()
 RADIUS_MM = 6.0

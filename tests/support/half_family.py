@@ -11,8 +11,8 @@ from contextlib import contextmanager
 import pytest
 
 from support.calibrated_sensor import HALF
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.work import FAMILIES, SensorName
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.work import FAMILIES, SensorName
 
 HALF_SENSOR = SensorName("half", None)
 

@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 
+from tacshade_edge.lab.simulator.press import Shape
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.simulated_hand import SimulatedFinger
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.hand import Finger
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import Shape
-from tacshade_edge.simulator.truth import SimulatedSensor
 
 BALL_MM, DEPTH_MM = 40.0, 1.5
 BALL = Shape("sphere", lambda p: np.asarray(np.linalg.norm(p, axis=1) - np.float32(BALL_MM)))
@@ -36,6 +36,6 @@ def place(angle_deg: float, away_mm: float = BALL_MM + MODEL.skin_radius_mm - DE
 
 
 @cache
-def three_fingers() -> tuple[Finger, ...]:
+def three_fingers() -> tuple[SimulatedFinger, ...]:
     sensor = SimulatedSensor(MODEL)
-    return tuple(Finger(f"at {angle}", place(angle), sensor) for angle in (90, 210, 330))
+    return tuple(SimulatedFinger(f"at {angle}", place(angle), sensor) for angle in (90, 210, 330))

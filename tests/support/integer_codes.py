@@ -14,10 +14,16 @@ from functools import cache
 
 import numpy as np
 
-from tacshade_edge.core.depth.learned import fold, known_maps
-from tacshade_edge.inference.network import WEIGHTS, in_integers, load_network, read_part, runtime
-from tacshade_edge.inference.onnx_weights import Node, joined, message, nodes_of
-from tacshade_edge.simulator.model import SensorModel, random_model
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.sensor.depth.learned import fold, known_maps
+from tacshade_edge.sensor.inference.network import (
+    WEIGHTS,
+    in_integers,
+    load_network,
+    read_part,
+    runtime,
+)
+from tacshade_edge.sensor.inference.onnx_weights import Node, joined, message, nodes_of
 from tacshade_edge.types import F32
 
 NAMES = ("fast", "balanced", "accurate", "shear")

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.protocol.requests import Request
+from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.wire.requests import Request
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import promised, wait_until
 

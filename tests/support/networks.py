@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.core.depth import Network
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.inference import network
-from tacshade_edge.inference.network import (
+from tacshade_edge.sensor.depth import Network
+from tacshade_edge.sensor.inference import network
+from tacshade_edge.sensor.inference.network import (
     WEIGHTS,
     load_networks,
     network_files,
@@ -24,7 +23,8 @@ from tacshade_edge.inference.network import (
     read_part,
     shipped_layout,
 )
-from tacshade_edge.inference.onnx_weights import values_of
+from tacshade_edge.sensor.inference.onnx_weights import values_of
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, Calibration, FittedNetwork
 
 ALL_TRUSTED = np.full((28, 28), -9, np.float32)

@@ -6,13 +6,13 @@ from functools import cache
 
 from support.calibrated_sensor import references, sensor_of, simulated
 from support.shared import once_for_all_workers
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.observation import PressObservation, observe_press
-from tacshade_edge.core.calibration.reference.references import PROFILE
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.script import ball_presses
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.observation import PressObservation, observe_press
+from tacshade_edge.calibration.reference.references import PROFILE
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.sensor.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.types import Geometry
 
 PRESSES = 24

@@ -12,7 +12,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from websockets.asyncio.client import connect
 
 from tacshade_edge.dashboard import server
-from tacshade_edge.dashboard.bridge import Broker as Address
+from tacshade_edge.dashboard.relay import Broker as Address
 from tools.testbed.patience import patience
 
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]

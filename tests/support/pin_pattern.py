@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc_map import REACH
+from tacshade_edge.sensor.geometry.disc_map import REACH
 from tacshade_edge.types import F32, Bool
 
 N = 112

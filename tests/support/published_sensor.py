@@ -12,9 +12,8 @@ import numpy as np
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.daemon.ledger import FrameLedger, Timings
-from tacshade_edge.daemon.publishing import Health
-from tacshade_edge.protocol import codec, messages, wire
+from tacshade_edge.mqtt.publishing import HealthReport
+from tacshade_edge.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import (
     Calibration,
@@ -26,6 +25,7 @@ from tacshade_edge.types import (
     Slip,
     TouchedObject,
 )
+from tacshade_edge.wire import binary, codec, messages
 
 ROWS, COLS = 480, 640
 DISC = Disc(236.0, 328.0, 205.0)
@@ -181,12 +181,12 @@ class PublishedSensor:
 
     def show(self, result: Reconstruction) -> None:
         """Publish a result as the daemon does."""
-        self.publish("height", wire.encode_height(result, calibration_crc32=CRC))
-        self.publish("cloud", wire.encode_cloud(result, calibration_crc32=CRC))
+        self.publish("height", binary.encode_height(result, calibration_crc32=CRC))
+        self.publish("cloud", binary.encode_cloud(result, calibration_crc32=CRC))
         if result.shear_mm is not None:
-            self.publish("shear", wire.encode_shear(result, calibration_crc32=CRC))
+            self.publish("shear", binary.encode_shear(result, calibration_crc32=CRC))
         if result.sigma_mm is not None:
-            self.publish("sigma", wire.encode_sigma(result, calibration_crc32=CRC))
+            self.publish("sigma", binary.encode_sigma(result, calibration_crc32=CRC))
         if result.touch is not None or not result.contact:
             self.publish("touch", messages.encode_touch(result))
         self.publish("contact", messages.encode_contact(result, fps=30.0))
@@ -200,7 +200,7 @@ def health() -> bytes:
     ledger.settle(0, "published")
     ledger.settle(1, "invalid")
     timings.add({"latency": 20.0, "solve": 5.0})
-    reported = Health(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
+    reported = HealthReport(ledger, timings).snapshot(4, {"published": 9, "refused": 0})
     parts = {"recorder": {"written": 5, "waiting": 1}, "budget": None}
     return codec.encode_json(
         {**reported, **parts, "reference": {"state": "following"}, "invalid_reason_code": "torn"}

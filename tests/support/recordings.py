@@ -8,7 +8,8 @@ from pathlib import Path
 
 import cv2
 
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.calibration.files.calibration_file import packed
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.types import U8, Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
@@ -50,8 +51,8 @@ PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000
 
 def record_finger(folder: Path, settings: str) -> Path:
     """Make a recording with these settings; return its path."""
-    recorder = Recorder(folder)
-    recorder.begin(settings, painted_calibration())
+    recorder = RecordingWriter(folder)
+    recorder.begin(settings, packed(painted_calibration()))
     for seq, image in enumerate(IMAGES):
         t_ns = T_NS + seq * PERIOD_NS
         recorder.add(Frame(seq, t_ns, t_ns + WALL_NS - T_NS, image), png_of(image))

@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.core.contact.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES, Untouched
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.references import REFERENCE_FRAMES, References
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.daemon.reference_in_use import REFERENCE_FRAMES, References
+from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.reasons import Reason
+from tacshade_edge.sensor.contact.untouched import PERIOD_S, REST_S, UNTOUCHED_FRAMES, Untouched
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import U8, Calibration, Frame, Need
 
 FPS = 10

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.daemon.observer import Reply
-from tacshade_edge.daemon.robot import Robot, SharedLine
-from tacshade_edge.devices.serial.port import SerialPort
-from tacshade_edge.protocol.requests import Request
+from tacshade_edge.pipeline.observer import Reply
+from tacshade_edge.robot.port import SerialPort
+from tacshade_edge.robot.robot import Robot, SharedLine
+from tacshade_edge.wire.requests import Request
 from tools.testbed.patience import wait_until
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.ledger import Counts
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.pipeline.ledger import Counts
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import U8, Calibration

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.protocol import messages, wire
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Frame, Reconstruction
+from tacshade_edge.wire import binary, messages
 
 
 def everything(result: Reconstruction) -> tuple[object, ...]:
@@ -93,12 +93,12 @@ def assert_sound(result: Reconstruction, made: Reconstructor) -> None:
 
 
 def _assert_wire(result: Reconstruction) -> None:
-    height = wire.decode(wire.encode_height(result, calibration_crc32=1))
-    assert isinstance(height, wire.HeightMessage)
+    height = binary.decode(binary.encode_height(result, calibration_crc32=1))
+    assert isinstance(height, binary.HeightMessage)
     expected = np.clip(result.height.height_mm, -32.767, 32.767)  # clamped, never wrapped
     np.testing.assert_allclose(height.height_mm, expected, atol=0.0006, equal_nan=True)
-    cloud = wire.decode(wire.encode_cloud(result, calibration_crc32=1))
-    assert isinstance(cloud, wire.CloudMessage)
+    cloud = binary.decode(binary.encode_cloud(result, calibration_crc32=1))
+    assert isinstance(cloud, binary.CloudMessage)
     assert cloud.points_mm.tobytes() == result.cloud.points_mm.tobytes()
     said = json.loads(messages.encode_contact(result, fps=0.0))
     nothing = {key for key, value in said.items() if value is None}
@@ -108,7 +108,7 @@ def _assert_wire(result: Reconstruction) -> None:
         set() if sheared else {"shear_x_mm", "shear_y_mm"}
     )
     if result.shear_mm is not None:
-        shear = wire.decode(wire.encode_shear(result, calibration_crc32=1))
-        assert isinstance(shear, wire.ShearMessage)
+        shear = binary.decode(binary.encode_shear(result, calibration_crc32=1))
+        assert isinstance(shear, binary.ShearMessage)
         expected_mm = np.clip(result.shear_mm, -32.767, 32.767)
         np.testing.assert_allclose(shear.shear_mm, expected_mm, atol=0.0006, equal_nan=True)

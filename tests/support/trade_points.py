@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacshade_edge.studies.tradeoff.measure import Estimate, Row, Setting, Times
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, Setting, Times
 
 
 def row(
@@ -16,12 +16,12 @@ def row(
     half: bool = False,
     fitted: bool = False,
     front: bool = False,
-) -> Row:
+) -> Offer:
     """All outputs have the same error; p99 is twice `ms`."""
     size = (320, 240) if half else (640, 480)
     errors = dict.fromkeys(outputs, Estimate(error, 0.9 * error, 1.1 * error))
     times = Times(p50_ms=ms, p99_ms=2 * ms, mean_ms=ms, idle_ms=0.3)
-    return Row(
+    return Offer(
         tuple(outputs),
         Setting(profile, half, fitted),
         *size,

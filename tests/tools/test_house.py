@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.ci.house import Room, room_of, rooms, table
+from tools.ci.house import Room, names_twice, room_of, rooms, strangers, table
 
 
 @pytest.mark.parametrize(
@@ -12,9 +12,9 @@ from tools.ci.house import Room, room_of, rooms, table
     [
         (("errors",), "errors"),
         (("daemon", "app"), "daemon"),
-        (("core", "reconstruct"), "core"),
-        (("core", "depth", "sigma"), "core.depth"),
-        (("simulator", "skin"), "simulator"),
+        (("sensor", "reconstruct"), "sensor"),
+        (("sensor", "depth", "sigma"), "sensor.depth"),
+        (("robot", "pose"), "robot"),
     ],
 )
 def test_a_room_is_a_folder_or_a_module(module: tuple[str, ...], room: str) -> None:
@@ -23,20 +23,52 @@ def test_a_room_is_a_folder_or_a_module(module: tuple[str, ...], room: str) -> N
 
 def test_sizes_and_imports_are_counted(tmp_path: Path) -> None:
     package = tmp_path / "tacshade_edge"
-    (package / "core" / "depth").mkdir(parents=True)
+    (package / "sensor" / "depth").mkdir(parents=True)
     (package / "errors.py").write_text("class Mistake(Exception):\n    pass\n")
-    (package / "core" / "depth" / "base.py").write_text(
+    (package / "sensor" / "depth" / "base.py").write_text(
         "# Why.\nimport numpy\nfrom tacshade_edge.errors import Mistake\n\n"
         "def solve():\n    return Mistake\n\ndef _own():\n    return numpy\n"
     )
     made = rooms(tmp_path)
-    assert set(made) == {"errors", "core.depth"}
-    depth = made["core.depth"]
+    assert set(made) == {"errors", "sensor.depth"}
+    depth = made["sensor.depth"]
     assert (depth.lines, depth.public, depth.comments, depth.longest) == (9, 1, 1, 2)
     assert depth.out == {"errors"}
-    assert table(made).splitlines()[-1].startswith("| `errors` | 2 |")
+    assert "\n| `errors` | 2 |" in table(made)
     assert "| 1 | 0 | 0 |" in table(made), "one room imports it, it imports none"
 
 
 def test_an_empty_room_has_no_share_of_comments() -> None:
     assert table({"empty": Room()}).endswith("| 0.0 |")
+
+
+def test_rooms_use_of_each_other_what_is_named() -> None:
+    assert strangers() == []
+
+
+def test_a_module_that_no_room_names_is_a_stranger(tmp_path: Path) -> None:
+    package = tmp_path / "tacshade_edge"
+    for room in ("one", "other"):
+        (package / room).mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "one" / "__init__.py").write_text('"""A room.\n\nOther rooms use: `gone`.\n"""\n')
+    (package / "one" / "own.py").write_text("VALUE = 1\n")
+    (package / "other" / "__init__.py").write_text("from tacshade_edge.one.own import VALUE\n")
+    assert strangers(tmp_path) == [
+        "one.gone: no other room uses it",
+        "one.own: not in the docstring of one",
+    ]
+
+
+def test_no_two_modules_and_no_two_classes_have_one_name() -> None:
+    assert names_twice() == []
+
+
+def test_two_of_one_name_are_found(tmp_path: Path) -> None:
+    for room in ("one", "other"):
+        (tmp_path / "tacshade_edge" / room).mkdir(parents=True)
+        (tmp_path / "tacshade_edge" / room / "own.py").write_text("class Same:\n    pass\n")
+    assert names_twice(tmp_path) == [
+        "module own: one.own, other.own",
+        "class Same: one.own, other.own",
+    ]

@@ -8,14 +8,14 @@ from tools.ci.measure_coverage import by_room, fallen
 def test_a_room_is_a_folder_of_the_package_and_is_rounded_down() -> None:
     files = {
         "tacshade_edge/errors.py": (3, 4),
-        "tacshade_edge/core/hand.py": (2, 3),
-        "tacshade_edge/core/depth/base.py": (100, 101),
+        "tacshade_edge/sensor/look.py": (2, 3),
+        "tacshade_edge/sensor/depth/solver.py": (100, 101),
         "tacshade_edge/empty/__init__.py": (0, 0),
         "client/tacshade_client/listener.py": (0, 5),
     }
     assert by_room(files) == {
         "client/tacshade_client": 0,
-        "tacshade_edge/core": 98,
+        "tacshade_edge/sensor": 98,
         "tacshade_edge": 75,
     }
 

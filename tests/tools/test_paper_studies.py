@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.simulator.model import random_model
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.stitch.truth import Score
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS
+from tacshade_edge.lab.simulator.sensor_model import random_model
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.stitch.map_truth import Score
 from tools.studies import identified, identify_tacshade, paper, paper_pad
 from tools.studies.identify_tacshade import (
     NEAR,

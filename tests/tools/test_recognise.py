@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tacshade_edge.inference.objects import load_metric
-from tacshade_edge.simulator.press import Shape
+from tacshade_edge.lab.simulator.press import Shape
+from tacshade_edge.sensor.inference.object_names import load_metric
 from tools.studies import recognise
 from tools.studies.recognise import Described, answers, text
 from tools.testbed.simulator.household import HOUSEHOLD

@@ -21,7 +21,7 @@ from packaging.version import Version
 from support.booted_machine import LOCK
 from support.calibrated_sensor import calibrated, pressed
 
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
 from tools.release import distributions
 from tools.release.version import UNKNOWN, version, version_of
 from tools.testbed.patience import patience
@@ -141,7 +141,9 @@ def test_every_distribution_of_a_tag_and_the_wheel_works_out_of_any_checkout(
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         about = email.message_from_bytes(archive.read("tacshade_edge-71.2.3.dist-info/METADATA"))
-    assert {"tacshade_edge/py.typed", "tacshade_edge/inference/weights/fast.onnx"} <= set(names)
+    assert {"tacshade_edge/py.typed", "tacshade_edge/sensor/inference/weights/fast.onnx"} <= set(
+        names
+    )
     assert {name.split("/")[0].split("-")[0] for name in names} == {"tacshade_edge"}
     assert "/blob/v71.2.3/docs/" in str(about.get_payload())
     assert "](docs/" not in str(about.get_payload())

@@ -85,13 +85,13 @@ def test_a_program_has_the_helpers_that_it_imports_and_no_code_that_golden_resul
         path.relative_to(ROOT).as_posix() for path in fingerprint.imported(["tools.studies.sigma"])
     }
     assert {"tools/studies/sigma.py", "tools/studies/drag.py", "tools/studies/command.py"} <= found
-    assert "tacshade_edge/studies/evaluate/work.py" in found
-    assert not [path for path in found if path.startswith("tacshade_edge/core")]
+    assert "tacshade_edge/lab/studies/evaluate/work.py" in found
+    assert not [path for path in found if path.startswith("tacshade_edge/sensor")]
 
 
 def test_a_page_of_speed_has_the_code_that_a_frame_passes() -> None:
     page = Page({"": "tools.benchmarks.daemon"})
-    with_code = Page(page.commands, code=("tacshade_edge/core",))
+    with_code = Page(page.commands, code=("tacshade_edge/sensor",))
     assert fingerprint.changed(page.fingerprint(), with_code.fingerprint()) == "program"
 
 

@@ -12,10 +12,10 @@ import pytest
 from support.published_sensor import CRC, bump
 from tacshade_client import CloudMessage, HeightMessage, TouchNumbers, decode
 
-from tacshade_edge.core.calibration.indenters import Indenter, place
-from tacshade_edge.protocol import wire
+from tacshade_edge.calibration.indenters import Indenter, place
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8
+from tacshade_edge.wire import binary
 from tools.examples.ros2 import ros_messages
 
 PRESS = bump(7, 2.0, 236.0, 328.0, step_px=4)
@@ -46,7 +46,7 @@ def there_and_back(message: Any) -> Any:
 
 
 def test_an_image() -> None:
-    height = decode(wire.encode_height(PRESS, calibration_crc32=CRC))
+    height = decode(binary.encode_height(PRESS, calibration_crc32=CRC))
     assert isinstance(height, HeightMessage)
     image = there_and_back(ros_messages.image(Ros(), height, "left-index"))
     assert (image.encoding, image.height, image.width, image.step, image.is_bigendian) == (
@@ -64,7 +64,7 @@ def test_an_image() -> None:
 
 
 def test_a_cloud() -> None:
-    message = decode(wire.encode_cloud(PRESS, calibration_crc32=CRC))
+    message = decode(binary.encode_cloud(PRESS, calibration_crc32=CRC))
     assert isinstance(message, CloudMessage)
     cloud = there_and_back(ros_messages.cloud(Ros(), message, "left-index"))
     assert cloud.height * cloud.width * cloud.point_step == cloud.row_step == len(cloud.data)

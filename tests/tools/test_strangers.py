@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.render import project
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
+from tacshade_edge.lab.simulator.render import project
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.types import F64
 from tools.studies.strangers import evaluate, grid, lattices, layered, oblate, solve
 from tools.studies.strangers.camera import Camera

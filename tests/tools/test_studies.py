@@ -10,7 +10,7 @@ from support.calibrated_sensor import calibrated
 from support.half_family import half_family
 from support.progress_lines import only_progress
 
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
 from tools.studies import drag
 
 

@@ -11,7 +11,7 @@ import pytest
 from support.calibrated_sensor import HALF
 from support.half_family import half_family
 
-from tacshade_edge.simulator.press import Press, distances_mm
+from tacshade_edge.lab.simulator.press import Press, distances_mm
 from tools.studies import touching
 
 

@@ -40,9 +40,9 @@ def serve(frames: int, objects: Sequence[str]) -> None:
     import cv2
 
     from tacshade_edge import types
-    from tacshade_edge.protocol import messages, wire
-    from tacshade_edge.simulator.press import OBJECTS, Press
-    from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor
+    from tacshade_edge.lab.simulator.press import OBJECTS, Press
+    from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated, reconstructor
+    from tacshade_edge.wire import binary, messages
 
     cv2.setNumThreads(1)
     name = SensorName.parse("default")
@@ -77,10 +77,10 @@ def serve(frames: int, objects: Sequence[str]) -> None:
             found = each.step(frame, **asked)
             if kind == "everything":
                 for encode in (
-                    wire.encode_height,
-                    wire.encode_cloud,
-                    wire.encode_shear,
-                    wire.encode_sigma,
+                    binary.encode_height,
+                    binary.encode_cloud,
+                    binary.encode_shear,
+                    binary.encode_sigma,
                 ):
                     encode(found, calibration_crc32=0)
                 messages.encode_contact(found, fps=60.0)
@@ -132,8 +132,8 @@ def main() -> None:
     if args.serve:
         serve(args.frames, args.objects.split(","))
         return
-    from tacshade_edge.core.profiles import PROFILES
-    from tacshade_edge.studies.tables import markdown
+    from tacshade_edge.lab.studies.markdown import markdown
+    from tacshade_edge.sensor.profiles import PROFILES
 
     now, before = (Checkout(root, args.frames, args.objects) for root in (ROOT, args.checkout))
     lines = []

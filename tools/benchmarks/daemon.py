@@ -45,17 +45,17 @@ import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.demo.hand import make_calibration
-from tacshade_edge.devices.mqtt.caller import MqttCaller
-from tacshade_edge.factories import links
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.protocol import wire
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.lab.demo.demo_hand import make_calibration
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.caller import MqttCaller
+from tacshade_edge.recording.recorder import PNG_OPTIONS
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.settings import load
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.recording.recorder import PNG_OPTIONS
-from tacshade_edge.studies.tables import markdown
 from tacshade_edge.types import Frame
+from tacshade_edge.wire import binary
 from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
 from tools.testbed.mqtt_rig import Broker
 
@@ -94,7 +94,7 @@ def subscriber(port: int, warm_up: int, topics: str) -> None:
         if message.retain:  # from the previous run
             return
         if message.topic == f"{BASE}/height":
-            decoded = wire.decode(message.payload)
+            decoded = binary.decode(message.payload)
             arrived_ns.append(time.monotonic_ns())
             latencies.append((arrived_ns[-1] - decoded.t_ns) / 1e6)
             seqs.add(decoded.seq)
@@ -253,8 +253,8 @@ def prepare(folder: Path, port: int, profile: str) -> None:
         ]
         ready = [
             (
-                wire.encode_height(r, calibration_crc32=crc32),
-                wire.encode_cloud(r, calibration_crc32=crc32),
+                binary.encode_height(r, calibration_crc32=crc32),
+                binary.encode_cloud(r, calibration_crc32=crc32),
             )
             if r.contact
             else None

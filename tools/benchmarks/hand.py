@@ -39,10 +39,10 @@ from typing import Any
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.topics import HandObjects, decode_contact, decode_hand
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
+from tacshade_edge.wire import binary
+from tacshade_edge.wire.topics import HandObjects, decode_contact, decode_hand
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
 from tools.testbed.daemon_rig import cpu_s, pss_mb
 from tools.testbed.mqtt_rig import Broker
@@ -74,7 +74,7 @@ def subscriber(port: int, names: list[str], topics: list[str]) -> None:
             frame = (
                 decode_contact(bytes(message.payload))
                 if topic == "contact"
-                else wire.decode(message.payload)
+                else binary.decode(message.payload)
             )
             own_ns[name, frame.seq] = now_ns = time.monotonic_ns()
             latencies[name].append((now_ns - frame.t_ns) / 1e6)

@@ -16,9 +16,9 @@ import time
 import zlib
 from pathlib import Path
 
-from tacshade_edge.daemon.ledger import FrameLedger
-from tacshade_edge.devices.mqtt.outgoing import PayloadOutcome
-from tacshade_edge.factories import links
+from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.outgoing import PayloadOutcome
+from tacshade_edge.pipeline.ledger import FrameLedger
 from tacshade_edge.settings import load
 
 CONTACT_PERIOD_NS = 100_000_000

@@ -22,18 +22,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth import with_own_ratio
-from tacshade_edge.core.depth.hybrid_iteration import HybridIteration
-from tacshade_edge.core.depth.hybrid_sfs import finite_shape_grey
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.preprocess import GreyMapper, Preprocessor
-from tacshade_edge.core.profiles import PAPER_WITHOUT_EQ_11, PROFILES, Profile
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
-from tacshade_edge.studies.evaluate.score import KnownTruth, score_cloud
-from tacshade_edge.studies.evaluate.work import calibrated
-from tacshade_edge.studies.tables import markdown
-from tacshade_edge.studies.tradeoff.measure import Parts
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, score_cloud
+from tacshade_edge.lab.studies.evaluate.work import calibrated
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.lab.studies.tradeoff.measure import Parts
+from tacshade_edge.sensor.depth import with_own_ratio
+from tacshade_edge.sensor.depth.hybrid_iteration import HybridIteration
+from tacshade_edge.sensor.depth.hybrid_sfs import finite_shape_grey
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.image.preprocess import GreyMapper, Preprocessor
+from tacshade_edge.sensor.profiles import PAPER_WITHOUT_EQ_11, PROFILES, Profile
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame
 from tools.testbed.hybrid_sfs_oracle import unit_height
 from tools.testbed.simulator.families import working_sensors

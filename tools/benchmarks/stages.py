@@ -23,13 +23,13 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import STAGES, Reconstructor
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.work import SensorName, calibrated, reconstructor
-from tacshade_edge.studies.tables import markdown
-from tacshade_edge.studies.tradeoff.measure import Parts
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated, reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.lab.studies.tradeoff.measure import Parts
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import STAGES, Reconstructor
 from tacshade_edge.types import U8, Frame
 
 BOX_PX = 39

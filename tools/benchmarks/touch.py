@@ -18,13 +18,13 @@ import time
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.learning import CENTRES, COMPONENTS, DIRECTIONS, FUNCTIONS
-from tacshade_edge.inference.network import load_network
-from tacshade_edge.studies.evaluate.work import SensorName, calibrated
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.inference.network import load_network
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
+from tacshade_edge.sensor.touch.learning import CENTRES, COMPONENTS, DIRECTIONS, FUNCTIONS
 from tacshade_edge.types import F32, QUANTITIES, Calibration, Frame, Need, TouchModel
 from tools.benchmarks.stages import PRESS
 

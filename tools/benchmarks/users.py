@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from tacshade_edge.core.image.preprocess import halved_calibration, halved_image
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.image.preprocess import halved_calibration, halved_image
 from tools.benchmarks.daemon import KEPT, prepare
 from tools.benchmarks.hand import measure
 from tools.testbed.mqtt_rig import Broker

@@ -23,15 +23,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tacshade_edge.core.contact.tracking import ContactTracker
-from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import step_and_track
-from tacshade_edge.daemon.observer import FrameResult
-from tacshade_edge.daemon.publishing import Publisher
-from tacshade_edge.devices.mqtt.link import MqttLink
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.mqtt.link import MqttLink
+from tacshade_edge.mqtt.publishing import Publisher
+from tacshade_edge.pipeline.observer import FrameResult
+from tacshade_edge.sensor.contact.tracking import ContactTracker
+from tacshade_edge.sensor.image.preprocess import Preprocessor
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import step_and_track
 from tacshade_edge.types import Frame, Need
 
 DEPTHS_MM = (0.6, 1.5, 3.0, 4.5)
@@ -41,9 +41,9 @@ FREE, PRESSED = 0, 3
 
 def write(folder: Path) -> None:
     """Write simulated images; only on this machine, as the other one would need minutes."""
-    from tacshade_edge.core.image.greyscale import to_grey
-    from tacshade_edge.simulator.press import OBJECTS, Press
-    from tacshade_edge.studies.evaluate.work import SensorName, calibrated
+    from tacshade_edge.lab.simulator.press import OBJECTS, Press
+    from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated
+    from tacshade_edge.sensor.image.greyscale import to_grey
 
     name = SensorName.parse("default")
     calibration_file.save(folder / "calibration.npz", calibrated(name, 8, 20).calibration)

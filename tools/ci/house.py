@@ -5,14 +5,15 @@
 
     .venv/bin/python -m tools.ci.house
 
-A room is a folder or module directly below the package, but for `core`, `cli`, `studies` and
-`devices`, whose folders are rooms. "In" counts other rooms that import it, "out" those that it
+A room is a folder or module directly below the package, but for `cli`, `lab` and `sensor`, whose
+folders count apart. "In" counts other rooms that import it, "out" those that it
 imports.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,8 +21,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tacshade_edge"
-FLOORS = ("core", "cli", "devices", "studies")
-"""Folders whose own folders are rooms."""
+FLOORS = ("cli", "lab", "sensor")
+"""Rooms whose folders count apart."""
+USED = "Other rooms use:"
+"""Begins the list of modules in the docstring of a room's `__init__`."""
+COMMANDS = ("cli", "commands")
+"""Modules that have the names of commands, as others may too."""
 COLUMNS = ("room", "lines", "nodes", "public names", "in", "out", "longest function", "comments %")
 
 
@@ -75,6 +80,44 @@ def rooms(root: Path = ROOT) -> dict[str, Room]:
                 room.longest = max(room.longest, (node.end_lineno or 0) - node.lineno + 1)
         room.out |= {room_of(module) for module in modules_of(tree)} - {name}
     return dict(made)
+
+
+def strangers(root: Path = ROOT) -> list[str]:
+    """What rooms import of others without a mention in their `__init__`s, and mentions in vain."""
+    modules = {_module_of(path, root): path for path in (root / PACKAGE).rglob("*.py")}
+    used: dict[str, set[str]] = defaultdict(set)
+    for module, path in modules.items():
+        for imported in modules_of(ast.parse(path.read_text(encoding="utf-8"))):
+            names = imported
+            while names not in modules:
+                names = names[:-1]
+            if len(names) > 1 and names[:1] != module[:1]:
+                used[names[0]].add(".".join(names[1:]))
+    found = []
+    for room in {module[0] for module in modules if len(module) > 1}:
+        text = ast.get_docstring(ast.parse(modules[(room,)].read_text(encoding="utf-8"))) or ""
+        named = set(re.findall(r"`([\w.]+)`", text.partition(USED)[2]))
+        found += [f"{room}.{name}: not in the docstring of {room}" for name in used[room] - named]
+        found += [f"{room}.{name}: no other room uses it" for name in named - used[room]]
+    return sorted(found)
+
+
+def names_twice(root: Path = ROOT) -> list[str]:
+    """Modules and public classes of one name."""
+    places: dict[str, list[str]] = defaultdict(list)
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        module = _module_of(path, root)
+        if path.stem not in ("__init__", "__main__") and module[:2] != COMMANDS:
+            places[f"module {path.stem}"].append(".".join(module))
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[f"class {node.name}"].append(".".join(module))
+    return [f"{name}: {', '.join(each)}" for name, each in places.items() if len(each) > 1]
+
+
+def _module_of(path: Path, root: Path) -> tuple[str, ...]:
+    names = path.relative_to(root / PACKAGE).with_suffix("").parts
+    return names[:-1] if names[-1] == "__init__" else names
 
 
 def table(made: dict[str, Room]) -> str:

@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.profiles import PROFILES
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.ci.run_tests import QUICK
 from tools.rig.arm64 import instructions_each

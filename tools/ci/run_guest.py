@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 

@@ -17,9 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.stitching.stitch_file import StitchFile, read_info
+from tacshade_edge.stitching.stitch_file import StitchFile, read_info
 from tools.faults.rig import BASE, Cell, frames_of, pause
 
 LONGEST_S = 3.0

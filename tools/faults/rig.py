@@ -21,9 +21,9 @@ from typing import Any
 
 import cv2
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.recording.recording import Recording
+from tacshade_edge.recording.recording import Recording
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

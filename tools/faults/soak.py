@@ -27,10 +27,10 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from tacshade_edge.demo.hand import make_calibration
-from tacshade_edge.protocol.serial.pose import PoseValues
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.tables.frame_table import read_table
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.lab.demo.demo_hand import make_calibration
+from tacshade_edge.recording.frame_table import read_table
+from tacshade_edge.robot.pose import PoseValues
 from tools.testbed.daemon_rig import draw_rings, memory_mb
 from tools.testbed.mqtt_rig import BridgeProcess, Broker, Subscriber
 from tools.testbed.robot import PtyRobot

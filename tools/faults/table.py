@@ -15,10 +15,10 @@ from tempfile import TemporaryDirectory
 
 import cv2
 
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.files.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.quoting import counted
-from tacshade_edge.storage.atomic_files import FREE_FLOOR_BYTES
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.stitching.stitch_file import PRESSES, SESSION
+from tacshade_edge.stitching.stitch_file import PRESSES, SESSION
 from tools.faults.rig import (
     BASE,
     FAULTS,

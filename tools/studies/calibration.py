@@ -21,27 +21,24 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.observation import (
-    PressObservation,
-    first_touch_mm,
-)
-from tacshade_edge.core.calibration.presses.press_check import PressCheck
-from tacshade_edge.core.calibration.presses.press_selection import outliers
-from tacshade_edge.core.calibration.quality import GRADED_PROFILE
-from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.core.frame_check import camera
-from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.calibration.observation import PressObservation, first_touch_mm
+from tacshade_edge.calibration.presses.press_check import PressCheck
+from tacshade_edge.calibration.presses.press_selection import outliers
+from tacshade_edge.calibration.quality import GRADED_PROFILE
+from tacshade_edge.calibration.reference.references import rezero
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import load_networks
 from tacshade_edge.lab.parallel import workers
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.simulator import camera_faults
+from tacshade_edge.lab.simulator.press import Press, ball
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.sensor.frame_check import camera_drift
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.inference.network import load_networks
 from tacshade_edge.types import U8
 from tools.studies import command
 from tools.testbed.simulator import bad_pictures
@@ -55,7 +52,7 @@ class Set:
 
     model: SensorModel
     simulated: SimulatedSensor
-    sensor: Sensor
+    sensor: StatedSensor
     references: list[U8]
     presses: list[KnownPress]
 
@@ -85,7 +82,7 @@ def good_set(seed: int, height_px: int) -> Set:
     """A good set of a random sensor."""
     model = random_model(seed, height_px, height_px * 4 // 3)
     simulated = SimulatedSensor(model)
-    sensor = Sensor(
+    sensor = StatedSensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
     )
     presses = [
@@ -311,7 +308,7 @@ class Measured:
     alarms: list[str]
     found: list[tuple[str, bool]]
     quality: list[tuple[str, float, float, str]]
-    drifts: list[camera.Drift]
+    drifts: list[camera_drift.Drift]
 
 
 def measure(task: tuple[int, bool, int]) -> Measured:
@@ -326,7 +323,9 @@ def measure(task: tuple[int, bool, int]) -> Measured:
     except ConfigError as error:
         return Measured([f"sensor {seed}: refused: {error}"], [], [], [])
     calibration = result.calibration
-    look = camera.look(calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px)
+    look = camera_drift.look(
+        calibration.reference_grey, calibration.geometry.disc, calibration.pitch_px
+    )
     quality = []
     for sigma in (0.0, 0.3, 0.6):
         label = f"depths stated {sigma} mm off (standard deviation)" if sigma else "good sets"
@@ -359,7 +358,7 @@ def measure(task: tuple[int, bool, int]) -> Measured:
     ]
     alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
     return Measured(
-        alarms, found, quality, [camera.drift(look, press.image) for press in given.presses]
+        alarms, found, quality, [camera_drift.drift(look, press.image) for press in given.presses]
     )
 
 

@@ -10,19 +10,24 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.calibration.indenters import Indenter
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.indenters import Indenter
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.lab.parallel import Report, Workers, reported_map, workers
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, SensorName, calibrate_sensors
-from tacshade_edge.studies.tables import csv_text
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.work import (
+    PRESSES,
+    REFERENCES,
+    SensorName,
+    calibrate_sensors,
+)
+from tacshade_edge.lab.studies.markdown import csv_text
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import U8, Calibration
 from tools.testbed.simulator.families import FINAL_SEED, FINAL_SENSORS, working_sensors
 

@@ -28,18 +28,18 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.inference.rest import learn_rest
+from tacshade_edge.files.images import read_image
 from tacshade_edge.lab.parallel import reported_map, workers
+from tacshade_edge.lab.simulator.press import Press, ball
+from tacshade_edge.lab.studies.evaluate.work import PressedSensor, SensorName, reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.studies.evaluate.work import PressedSensor, SensorName, reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.inference.rest_evidence import learn_rest
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame
 from tools.studies.judges import calibrated, press_of
 from tools.studies.limits import CHANGES, LEFT, RELEASED, ball_press, places

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.contact.objects import rigid_motion, spreads
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedFrame, Truth
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, Row, score
-from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
-from tacshade_edge.studies.tables import grouped, summary
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, Truth
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label, Row, score
+from tacshade_edge.lab.studies.evaluate.work import SensorName, family_of, reconstructor
+from tacshade_edge.lab.studies.markdown import grouped, summary
+from tacshade_edge.sensor.contact.objects import rigid_motion, spreads
 from tacshade_edge.types import F64, Bool, Calibration, Frame, Reconstruction
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS

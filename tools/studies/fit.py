@@ -37,26 +37,22 @@ from typing import Any
 import numpy as np
 
 import tacshade_edge
+from tacshade_edge.calibration import indenters as shapes
+from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.calibration.indenters import Indenter
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
 from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration import indenters as shapes
-from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.indenters import Indenter
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.depth.sigma import INTERVAL_90
-from tacshade_edge.core.geometry.disc_map import skin_scale
-from tacshade_edge.core.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.fitting.fit import fit
-from tacshade_edge.fitting.identify import identify
-from tacshade_edge.fitting.prints import PARAMETERS
-from tacshade_edge.fitting.twin import Mechanics
-from tacshade_edge.inference.network import load_networks, make_reconstructor
+from tacshade_edge.lab.fitting.fit import fit
+from tacshade_edge.lab.fitting.identify import identify
+from tacshade_edge.lab.fitting.prints import PARAMETERS
+from tacshade_edge.lab.fitting.twin import Mechanics
 from tacshade_edge.lab.parallel import reported_map, workers
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label, score
+from tacshade_edge.lab.studies.evaluate.work import (
     DEPTHS_MM,
     PRESS_NOISE,
     REFERENCE_NOISE,
@@ -65,7 +61,11 @@ from tacshade_edge.studies.evaluate.work import (
     SensorName,
     scenes,
 )
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.depth.sigma import INTERVAL_90
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.sensor.inference.network import load_networks, make_reconstructor
+from tacshade_edge.sensor.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.types import F64, Calibration, Frame
 from tools.studies import command
 from tools.studies.command import stated_press
@@ -184,7 +184,7 @@ def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
 def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationResult:
     """A user's calibration without a fit."""
     model = sensor.model
-    stated = Sensor(
+    stated = StatedSensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
     )
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]

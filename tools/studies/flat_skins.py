@@ -8,7 +8,7 @@
 Each sensor of the TacShade family is flattened: to a pad (half angle 0) or to a dome with the same
 visible circle, as far from the lens. It is calibrated on references alone, stated as it is and as
 the dome that it was before. "Ratio" is the geometric mean of found over true height in the contact,
-after the division by `core.depth.learned.shown_ratio`.
+after the division by `sensor.depth.learned.shown_ratio`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from itertools import product
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.simulator.model import SensorModel, flattened, random_model
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor, Truth
-from tacshade_edge.studies.evaluate.score import score_cloud
-from tacshade_edge.studies.evaluate.work import SensorName, reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, flattened, random_model
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, SimulatedSensor, Truth
+from tacshade_edge.lab.studies.evaluate.score import score_cloud
+from tacshade_edge.lab.studies.evaluate.work import SensorName, reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.types import Frame, Geometry, HeightMap
 from tools.testbed.simulator.families import FINAL_SENSORS, working_sensors
 
@@ -106,7 +106,7 @@ def rows(name: SensorName, half_angle_deg: float, profiles: Sequence[str]) -> It
     model = formed(base, half_angle_deg)
     references = [SimulatedSensor(model).frame((), k).image for k in range(REFERENCES)]
     known = base.geometry
-    sensor = Sensor(
+    sensor = StatedSensor(
         known.skin_radius_mm, known.camera_distance_mm, known.visible_half_angle_deg, "bright"
     )
     found = calibrate(sensor, references).calibration  # of the picture, whatever is stated

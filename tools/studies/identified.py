@@ -13,12 +13,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.simulator.tacshade import DEPTH_MM, OBJECT_SCALE, TACSHADE
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.report import PAPER_ROW
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
+from tacshade_edge.lab.simulator.tacshade import DEPTH_MM, OBJECT_SCALE, TACSHADE
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.accuracy import PAPER_ROW
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label, score
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
     calibrated_sensor,

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.report import PAPER_ROW, TABLE_I
-from tacshade_edge.studies.evaluate.work import one_thread
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.accuracy import PAPER_ROW, TABLE_I
+from tacshade_edge.lab.studies.evaluate.work import one_thread
+from tacshade_edge.lab.studies.markdown import markdown
 from tools.studies.paper_readings import PressedObject, Reading, calibrated, pressed_object, scores
 
 HEIGHT_PX, WIDTH_PX = 240, 320

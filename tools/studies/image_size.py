@@ -21,13 +21,13 @@ from functools import partial
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import CalibrationResult
+from tacshade_edge.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.parallel import Report, Workers, reported_map
-from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedFrame
-from tacshade_edge.studies.evaluate.score import score
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS, Press
+from tacshade_edge.lab.simulator.truth import SimulatedFrame
+from tacshade_edge.lab.studies.evaluate.score import score
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
     PressedSensor,
@@ -37,7 +37,7 @@ from tacshade_edge.studies.evaluate.work import (
     reconstructor,
     scenes,
 )
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.types import U8, Frame
 from tools.studies import command
 

@@ -24,21 +24,26 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.contact.objects import contact_of, find_objects
-from tacshade_edge.core.frame_check import Measured
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.doctor.pictures import limits_of
+from tacshade_edge.doctor.judged_pictures import limits_of
 from tacshade_edge.lab.parallel import reported_map, workers
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.model import random_model, tactip
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName, reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator import camera_faults
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.simulator.sensor_model import random_model, tactip
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.work import (
+    FAMILIES,
+    PressedSensor,
+    SensorName,
+    reconstructor,
+)
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.contact.objects import contact_of, find_objects
+from tacshade_edge.sensor.frame_check import Measured
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
 from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact
 from tools.testbed.simulator.families import working_sensors
@@ -196,7 +201,7 @@ def calibrated(sensor: PressedSensor) -> Calibration:
     """From references alone."""
     model = sensor.model
     polarity: Polarity = "dark" if model.pin_tip_reflectance > 0.5 else "bright"
-    stated = Sensor(
+    stated = StatedSensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, polarity
     )
     return calibrate(stated, [sensor.frame((), k).image for k in range(REFERENCES)]).calibration

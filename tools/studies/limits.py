@@ -18,15 +18,13 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from tacshade_edge.core.reconstruct import Reconstructor
 from tacshade_edge.lab.parallel import Report, Workers, reported_map
-from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press, ball, bars, ridge
-from tacshade_edge.simulator.render import project
-from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor, skin_points
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator import camera_faults
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball, bars, ridge
+from tacshade_edge.lab.simulator.render import project
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, SimulatedSensor, skin_points
+from tacshade_edge.lab.studies.evaluate.work import (
     NULL_NOISE,
     PRESSES,
     REFERENCES,
@@ -36,7 +34,9 @@ from tacshade_edge.studies.evaluate.work import (
     calibrated_sensor,
     reconstructor,
 )
-from tacshade_edge.studies.tables import grouped, markdown, summary
+from tacshade_edge.lab.studies.markdown import grouped, markdown, summary
+from tacshade_edge.reasons import text_of
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command
 from tools.testbed.simulator import bad_pictures

@@ -18,15 +18,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.geometry.disc_map import skin_scale
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.simulator.model import random_model, tactip
-from tacshade_edge.simulator.press import OBJECTS, Press, ball
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.work import PressedSensor, tacshade
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
+from tacshade_edge.lab.simulator.sensor_model import random_model, tactip
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.work import PressedSensor, tacshade
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.types import U8
 from tools.testbed.simulator.families import other, square
 
@@ -56,7 +56,7 @@ COLUMNS = (
 def is_refused(sensor: PressedSensor, image: U8) -> bool:
     """Whether `calibrate` refuses an image as the only reference."""
     of = sensor.model.geometry
-    stated = Sensor(of.skin_radius_mm, of.camera_distance_mm, of.visible_half_angle_deg, None)
+    stated = StatedSensor(of.skin_radius_mm, of.camera_distance_mm, of.visible_half_angle_deg, None)
     try:
         calibrate(stated, [image])
     except ConfigError:

@@ -15,12 +15,12 @@ from dataclasses import astuple, dataclass
 from functools import partial
 from typing import get_args
 
-from tacshade_edge.core.profiles import DEFAULT, Outline, profile_with
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.studies.evaluate.report import Figures, figures
-from tacshade_edge.studies.evaluate.score import Row, score
-from tacshade_edge.studies.evaluate.work import SensorName, family_of, press_cases, scenes
-from tacshade_edge.studies.tables import grouped, summary
+from tacshade_edge.lab.studies.evaluate.accuracy import Figures, figures
+from tacshade_edge.lab.studies.evaluate.score import Row, score
+from tacshade_edge.lab.studies.evaluate.work import SensorName, family_of, press_cases, scenes
+from tacshade_edge.lab.studies.markdown import grouped, summary
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import DEFAULT, Outline, profile_with
 from tacshade_edge.types import Calibration, Frame
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS

@@ -22,14 +22,14 @@ from pathlib import Path
 import numpy as np
 
 from tacshade_edge.cli.shared import study
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.lab.parallel import Report, Workers
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.studies.evaluate.report import PAPER_ROW, TABLE_I
-from tacshade_edge.studies.evaluate.score import score, score_cloud
-from tacshade_edge.studies.evaluate.work import Case, SensorName, family_of, press_cases, scenes
-from tacshade_edge.studies.tables import grouped, markdown
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
+from tacshade_edge.lab.studies.evaluate.accuracy import PAPER_ROW, TABLE_I
+from tacshade_edge.lab.studies.evaluate.score import score, score_cloud
+from tacshade_edge.lab.studies.evaluate.work import Case, SensorName, family_of, press_cases, scenes
+from tacshade_edge.lab.studies.markdown import grouped, markdown
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Calibration, Frame
 from tools.studies import command
 from tools.studies.paper_readings import PaperMapper, Reading

@@ -21,14 +21,14 @@ from pathlib import Path
 
 from tacshade_edge.cli.commands.simulate import write_pad
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.storage.tables.frame_table import read_poses
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, calibrated_sensor
-from tacshade_edge.studies.stitch.presses import averaged, read_presses, stitcher_of
-from tacshade_edge.studies.stitch.truth import Score, read_known, score
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.work import PRESSES, REFERENCES, calibrated_sensor
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.lab.studies.stitch.map_presses import averaged, read_presses, stitcher_of
+from tacshade_edge.lab.studies.stitch.map_truth import Score, read_known, score
+from tacshade_edge.recording.frame_table import read_poses
+from tacshade_edge.sensor.profiles import PROFILES
 
 DEPTH_MM = 2.7
 """Depth of the apex below the highest bulge."""

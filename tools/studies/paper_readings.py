@@ -11,19 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.contact.objects import two_means_split
-from tacshade_edge.core.depth.hybrid_iteration import HybridIteration
-from tacshade_edge.core.depth.hybrid_sfs import hybrid_depth, unit_by_grey
-from tacshade_edge.core.geometry.disc import skin_points
-from tacshade_edge.core.image.preprocess import GreyMapper, GreyMaps, Preprocessor
-from tacshade_edge.core.profiles import PROFILES, Profile
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedSensor, Truth
-from tacshade_edge.studies.evaluate.score import CloudScore, score_cloud
-from tacshade_edge.studies.evaluate.work import REFERENCE_NOISE, SCENE_NOISE
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedSensor, Truth
+from tacshade_edge.lab.studies.evaluate.score import CloudScore, score_cloud
+from tacshade_edge.lab.studies.evaluate.work import REFERENCE_NOISE, SCENE_NOISE
+from tacshade_edge.sensor.contact.objects import two_means_split
+from tacshade_edge.sensor.depth.hybrid_iteration import HybridIteration
+from tacshade_edge.sensor.depth.hybrid_sfs import hybrid_depth, unit_by_grey
+from tacshade_edge.sensor.geometry.disc import skin_points
+from tacshade_edge.sensor.image.preprocess import GreyMapper, GreyMaps, Preprocessor
+from tacshade_edge.sensor.profiles import PROFILES, Profile
 from tacshade_edge.types import F32, U8, Bool, Calibration, frozen
 
 REFERENCES = 4
@@ -95,7 +95,7 @@ def calibrated(sensor: SimulatedSensor) -> Calibration:
     Raises ConfigError.
     """
     model: SensorModel = sensor.model
-    stated = Sensor(
+    stated = StatedSensor(
         model.skin_radius_mm,
         model.camera_distance_mm,
         model.visible_half_angle_deg,

@@ -21,11 +21,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, SensorName, calibrated
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.work import PRESSES, REFERENCES, SensorName, calibrated
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame
 from tools.testbed.simulator.families import working_sensors
 

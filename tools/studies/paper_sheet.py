@@ -12,16 +12,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tacshade_edge.core.depth.hybrid_sfs import finite_shape_grey
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.simulator.model import random_model
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.simulator.tacshade import TACSHADE
-from tacshade_edge.simulator.truth import SimulatedSensor
-from tacshade_edge.studies.evaluate.work import PRESSES, REFERENCES, calibrated_sensor
-from tacshade_edge.studies.tables import new_figure
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
+from tacshade_edge.lab.simulator.sensor_model import random_model
+from tacshade_edge.lab.simulator.tacshade import TACSHADE
+from tacshade_edge.lab.simulator.truth import SimulatedSensor
+from tacshade_edge.lab.studies.evaluate.work import PRESSES, REFERENCES, calibrated_sensor
+from tacshade_edge.lab.studies.markdown import new_figure
+from tacshade_edge.sensor.depth.hybrid_sfs import finite_shape_grey
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F32, Bool, Frame
 from tools.studies.identified import READING, tacshade_presses
 from tools.studies.paper_readings import PaperMapper, PressedObject, Reading, pressed_object

@@ -32,14 +32,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.image.greyscale import to_grey
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
-from tacshade_edge.studies.evaluate.work import reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.files.images import read_image
+from tacshade_edge.lab.studies.evaluate.labelled import FoundRow, agreements, found_row, spearman
+from tacshade_edge.lab.studies.evaluate.work import reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import Calibration, Frame
 from tools.studies.judges import LEAST_MM, MARGINS, Margins, Seen, seen
 from tools.studies.real_references import report_each
@@ -71,7 +71,7 @@ def reference_candidates(frames: Sequence[RealFrame]) -> list[Path]:
     return [some[int(np.abs(pictures - pictures.mean(axis=0)).mean(axis=(1, 2)).argmin())]]
 
 
-def calibrated_from(sensor: Sensor, path: Path) -> tuple[Calibration | None, str]:
+def calibrated_from(sensor: StatedSensor, path: Path) -> tuple[Calibration | None, str]:
     """A calibration without presses, or why there is none."""
     try:
         return calibrate(sensor, [read_image(path)]).calibration, ""
@@ -79,7 +79,7 @@ def calibrated_from(sensor: Sensor, path: Path) -> tuple[Calibration | None, str
         return None, str(error)
 
 
-def forced(sensor: Sensor, paths: Sequence[Path]) -> Calibration:
+def forced(sensor: StatedSensor, paths: Sequence[Path]) -> Calibration:
     """From the first that works when it may be loaded.
 
     Raises ConfigError with the last one's reason.
@@ -169,7 +169,7 @@ def followed(frames: Sequence[RealFrame], rows: Sequence[FoundRow]) -> list[tupl
 
 def fitted(calibration: Calibration) -> Calibration:
     """The calibration with the networks fitted to its reference alone; print what was found."""
-    from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
+    from tacshade_edge.lab.fitting.fit import fit  # PyTorch is needed only here
 
     made = fit(calibration, (), lambda _: None)
     print("\n".join((*made.found, *(network.line for network in made.networks), "")))

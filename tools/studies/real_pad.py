@@ -14,14 +14,14 @@ import math
 import sys
 from dataclasses import replace
 
-from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.calibration.inputs import StatedSensor
 from tools.studies import real_frames
 from tools.studies.real_sets import SENSORS
 
 SET = "tilted"
 
 
-def as_pad(sensor: Sensor) -> Sensor:
+def as_pad(sensor: StatedSensor) -> StatedSensor:
     """A flat skin with the visible circle of a dome, and its lens as far from the circle."""
     half, r = math.radians(sensor.visible_half_angle_deg), sensor.skin_radius_mm
     d = sensor.camera_distance_mm

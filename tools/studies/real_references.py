@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.contact.rest import LEAST_FRAMES
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.rest import learn_rest
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.studies.evaluate.labelled import FoundRow, agreements, found_row
-from tacshade_edge.studies.evaluate.work import reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.files.images import read_image
+from tacshade_edge.lab.studies.evaluate.labelled import FoundRow, agreements, found_row
+from tacshade_edge.lab.studies.evaluate.work import reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.contact.rest import LEAST_FRAMES
+from tacshade_edge.sensor.inference.rest_evidence import learn_rest
 from tacshade_edge.types import Calibration, Frame
 from tools.studies.real_sets import RealFrame, thinned
 
@@ -52,7 +52,7 @@ class Outcome:
     no_depth: int
 
 
-def accepted(sensor: Sensor, frame: RealFrame) -> Calibration | None:
+def accepted(sensor: StatedSensor, frame: RealFrame) -> Calibration | None:
     """The calibration of a frame as the only reference; None if it is refused."""
     try:
         return calibrate(sensor, [read_image(frame.path)]).calibration
@@ -123,7 +123,7 @@ def span(values: Sequence[float], digits: int, of: int | None = None) -> str:
 
 def report_each(
     frames: Sequence[RealFrame],
-    sensor: Sensor,
+    sensor: StatedSensor,
     profiles: Sequence[str],
     counts: tuple[int, int],
     fitted: Made,

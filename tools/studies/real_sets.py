@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import Disc
 
-SENSOR = Sensor(
+SENSOR = StatedSensor(
     skin_radius_mm=20.0, camera_distance_mm=14.0, visible_half_angle_deg=50.0, polarity="dark"
 )
 """A TacTip as printed; its camera's distance is a guess that does not affect ranks."""

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.studies.evaluate.work import reconstructor
+from tacshade_edge.files.images import read_image
+from tacshade_edge.lab.studies.evaluate.work import reconstructor
 from tacshade_edge.types import U8, Disc, Frame, HeightMap, Reconstruction
 from tools.studies.real_sets import SENSOR, all_pin_frames
 

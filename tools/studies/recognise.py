@@ -19,13 +19,13 @@ from functools import partial
 
 import numpy as np
 
-from tacshade_edge.core.recognition.answer import Recogniser
-from tacshade_edge.core.recognition.metric import Metric
-from tacshade_edge.inference.objects import load_metric
 from tacshade_edge.lab.parallel import Report, Workers
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Shape
-from tacshade_edge.studies.evaluate.work import SensorName, one_thread
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Shape
+from tacshade_edge.lab.studies.evaluate.work import SensorName, one_thread
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.inference.object_names import load_metric
+from tacshade_edge.sensor.recognition.answer import Recogniser
+from tacshade_edge.sensor.recognition.metric import Metric
 from tacshade_edge.types import F32, Calibration, KnownObject
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS

@@ -15,13 +15,13 @@ from functools import partial
 
 import numpy as np
 
-from tacshade_edge.core.depth.sigma import INTERVAL_90
-from tacshade_edge.core.geometry.disc import Grid
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.truth import SimulatedFrame, skin_points
-from tacshade_edge.studies.evaluate.work import SensorName, family_of, reconstructor
-from tacshade_edge.studies.tables import grouped, summary
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, skin_points
+from tacshade_edge.lab.studies.evaluate.work import SensorName, family_of, reconstructor
+from tacshade_edge.lab.studies.markdown import grouped, summary
+from tacshade_edge.sensor.depth.sigma import INTERVAL_90
+from tacshade_edge.sensor.geometry.disc import Grid
 from tacshade_edge.types import F32, F64, Bool, Calibration, Frame
 from tools.studies import command, drag
 

@@ -16,11 +16,11 @@ from functools import partial
 
 import numpy as np
 
-from tacshade_edge.core.contact.tracking import ContactTracker, follow
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.work import SensorName, reconstructor
-from tacshade_edge.studies.tables import grouped, summary
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.work import SensorName, reconstructor
+from tacshade_edge.lab.studies.markdown import grouped, summary
+from tacshade_edge.sensor.contact.tracking import ContactTracker, follow
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS

@@ -27,15 +27,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.reconstruct import Reconstructor
-from tacshade_edge.core.touch.answer import NO_IMPRINT, imprint_of, touch_by_model
-from tacshade_edge.core.touch.learning import learn
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import load_network
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.files.images import read_image
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.inference.network import load_network
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
+from tacshade_edge.sensor.touch.learning import learn
+from tacshade_edge.sensor.touch.touch_answer import NO_IMPRINT, imprint_of, touch_by_model
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame, Need, Reconstruction
 from tools.studies.real_frames import forced
 from tools.studies.real_sets import SENSOR, SENSORS, rows_of
@@ -58,7 +58,7 @@ class RobotSet:
     columns: Mapping[str, str]
     shown: Mapping[str, tuple[int, ...]]
     published: tuple[str, ...]
-    sensor: Sensor = SENSOR
+    sensor: StatedSensor = SENSOR
 
 
 SETS = {

@@ -18,19 +18,19 @@ from functools import partial
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.drag import contact_nodes
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press, Shape, ball, distances_mm, polygon
-from tacshade_edge.simulator.skin import node_directions
-from tacshade_edge.simulator.truth import SimulatedFrame
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.drag import contact_nodes
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, Shape, ball, distances_mm, polygon
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.skin import node_directions
+from tacshade_edge.lab.simulator.truth import SimulatedFrame
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
     SensorName,
     family_of,
     reconstructor,
 )
-from tacshade_edge.studies.tables import grouped, summary
+from tacshade_edge.lab.studies.markdown import grouped, summary
 from tacshade_edge.types import F64, Calibration, Frame, Reconstruction
 from tools.studies import command
 from tools.testbed.simulator.families import FINAL_SENSORS

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.stitching.press_points import PressPoints
 from tacshade_edge.rigid import Rigid, from_seven, shift, turn
+from tacshade_edge.stitching.press_points import PressPoints
 from tacshade_edge.types import F64
 
 APEX_MM = 20.0

@@ -73,9 +73,9 @@ def draw_rings(folder: Path) -> None:
     ``colour.npy`` is the first as drawn.
     """
     # Here, since a daemon that imports this module draws nothing.
-    from tacshade_edge.simulator.press import Press, ball
-    from tacshade_edge.simulator.script import Script
-    from tacshade_edge.simulator.truth import SimulatedSensor
+    from tacshade_edge.lab.simulator.press import Press, ball
+    from tacshade_edge.lab.simulator.script import Script
+    from tacshade_edge.lab.simulator.truth import SimulatedSensor
 
     script = Script(
         (Press(ball(6.0), 1.0, -2.0, 3.5),), approach=RING // 2 - 1, hold=8, release=8, pause=1

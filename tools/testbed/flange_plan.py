@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from tacshade_edge.core.stitching.flange import ContactFrame
-from tacshade_edge.core.stitching.refinement import thin_points
+from tacshade_edge.lab.simulator.pad import about_apex
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.simulator.pad import about_apex
+from tacshade_edge.stitching.flange import ContactFrame
+from tacshade_edge.stitching.refinement import thin_points
 from tacshade_edge.types import F64, Pose
 from tools.testbed.bumpy_surface import APEX_MM, DOWN, misreported, press_of
 

@@ -1,4 +1,6 @@
-"""Eq. 11 as ref. [20] publishes it, in complex128: the oracle of `core.depth.hybrid_iteration`."""
+"""Eq. 11 as ref. [20] publishes it, in complex128:
+the oracle of `sensor.depth.hybrid_iteration`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from tacshade_edge.core.depth.hybrid_iteration import EPS, ITERATIONS
+from tacshade_edge.sensor.depth.hybrid_iteration import EPS, ITERATIONS
 from tacshade_edge.types import F64
 
 C128 = npt.NDArray[np.complex128]

@@ -9,10 +9,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.image.white import binarise
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.storage.calibration.calibration_file import with_crc
+from tacshade_edge.calibration.files.calibration_file import with_crc
+from tacshade_edge.sensor.image.white import binarise
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.types import U8, Calibration, Disc, Fit, Frame, Geometry, ProfileFit
 
 HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0

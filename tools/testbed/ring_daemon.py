@@ -7,12 +7,12 @@ import signal
 import sys
 from pathlib import Path
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.entry import leave
-from tacshade_edge.daemon import hand as process
+from tacshade_edge.daemon import hand_process as process
 from tacshade_edge.daemon.app import App
-from tacshade_edge.daemon.hand import Lines
+from tacshade_edge.daemon.hand_process import Lines
 from tacshade_edge.daemon.supervisor import Supervisor
-from tacshade_edge.factories import calibrations
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 from tools.testbed.daemon_rig import RingSource
 
@@ -31,7 +31,7 @@ def work(part: Document | Hand) -> int:
         process.run(part, lines)
         return 0
     name = part.settings.sensor_id
-    app = App(part, rings[ring[name]], calibrations.load_calibration(part), lines.fingers.get(name))
+    app = App(part, rings[ring[name]], loading.load_calibration(part), lines.fingers.get(name))
     signal.signal(signal.SIGTERM, lambda *_: app.stop())
     app.run()
     return 0

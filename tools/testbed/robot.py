@@ -30,10 +30,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.protocol.serial.framing import cobs_decode, cobs_encode
-from tacshade_edge.protocol.serial.line import parse_line, seal
-from tacshade_edge.protocol.serial.pose import PoseSample, PoseValues, encode_pose
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.framing import cobs_decode, cobs_encode
+from tacshade_edge.robot.line import parse_line, seal
+from tacshade_edge.robot.pose import PoseSample, PoseValues, encode_pose
 
 Delay = Callable[[random.Random], float]
 

@@ -26,7 +26,7 @@ import numpy as np
 import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from tacshade_edge.inference.network import WEIGHTS
+from tacshade_edge.sensor.inference.network import WEIGHTS
 
 WHITE = 255
 """Codes of white, uint8: 0 to 1 in steps of 1/255."""

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from tacshade_edge.core.geometry import disc_map
+from tacshade_edge.sensor.geometry import disc_map
 from tools.training.network import Net, ShearNet, trained
 
 OPSET = 13

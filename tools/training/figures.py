@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from tacshade_edge.fitting.losses import split_output
-from tacshade_edge.fitting.spoilt_frames import spoil
-from tacshade_edge.fitting.training import halved
+from tacshade_edge.lab.fitting.losses import split_output
+from tacshade_edge.lab.fitting.spoilt_frames import spoil
+from tacshade_edge.lab.fitting.training import halved
 from tools.training.data import Data, batch
 from tools.training.network import COARSE_CELLS, DISC_MM, HEIGHT_SCALE
 

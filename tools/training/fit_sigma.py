@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Fit the errors of the shipped networks: ``tacshade_edge/inference/weights/sigma.json``
-(`core.depth.sigma`).
+"""Fit the errors of the shipped networks: ``tacshade_edge/sensor/inference/weights/sigma.json``
+(`sensor.depth.sigma`).
 
 ::
 
@@ -23,27 +23,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.calibration.refit import refit_profile
 from tacshade_edge.cli.shared.options import add_cluster
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.calibration.refit import refit_profile
-from tacshade_edge.core.contact.objects import contact_of
-from tacshade_edge.core.depth.learned import LearnedSolver
-from tacshade_edge.core.depth.sigma import INTERVAL_90, TERMS, SigmaModel, sigma_of_scale_1, terms
-from tacshade_edge.core.geometry.disc_map import rays_in_image
-from tacshade_edge.core.image.preprocess import Preprocessor
-from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.core.reconstruct import no_mark
-from tacshade_edge.inference.network import WEIGHTS, load_networks
 from tacshade_edge.lab.parallel import workers
-from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESS_NOISE,
     PRESSES,
     REFERENCE_NOISE,
     REFERENCES,
     SensorName,
 )
+from tacshade_edge.sensor.contact.objects import contact_of
+from tacshade_edge.sensor.depth.learned import LearnedSolver
+from tacshade_edge.sensor.depth.sigma import INTERVAL_90, TERMS, SigmaModel, sigma_of_scale_1, terms
+from tacshade_edge.sensor.geometry.disc_map import rays_in_image
+from tacshade_edge.sensor.image.preprocess import Preprocessor
+from tacshade_edge.sensor.inference.network import WEIGHTS, load_networks
+from tacshade_edge.sensor.profiles import LADDER, PROFILES
+from tacshade_edge.sensor.reconstruct import no_mark
 from tacshade_edge.types import F32, F64, Calibration, Geometry
 from tools.studies import command
 from tools.studies.sigma import NOISE, presses, true_height_mm
@@ -112,7 +112,7 @@ def measure(text: str) -> Measured:
     name = sensor_name(text)
     sensor = name.make()
     model, networks = sensor.model, load_networks()
-    stated = Sensor(
+    stated = StatedSensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
     )
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import DiscRays, Grid, cells_in_image, disc_rays
-from tacshade_edge.core.recognition.answer import scores
-from tacshade_edge.core.recognition.metric import Metric, coordinates, learn_metric
-from tacshade_edge.inference.network import WEIGHTS
-from tacshade_edge.inference.objects import METRIC
+from tacshade_edge.files.atomic_files import write_whole
 from tacshade_edge.lab.parallel import workers
-from tacshade_edge.storage.atomic_files import write_whole
-from tacshade_edge.studies.evaluate.work import SensorName, calibrated
+from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated
+from tacshade_edge.sensor.geometry.disc import DiscRays, Grid, cells_in_image, disc_rays
+from tacshade_edge.sensor.inference.network import WEIGHTS
+from tacshade_edge.sensor.inference.object_names import METRIC
+from tacshade_edge.sensor.recognition.answer import scores
+from tacshade_edge.sensor.recognition.metric import Metric, coordinates, learn_metric
 from tacshade_edge.types import F32, F64, I64, Disc, Geometry
 from tools.studies import command
 from tools.testbed.simulator.object_touches import SeenTouches, draw_touch, see_touches

@@ -14,10 +14,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tacshade_edge.fitting.twin import on_dome
-from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.render import PinProfile, Print, Renderer, print_features
-from tacshade_edge.simulator.skin import chart_to_direction
+from tacshade_edge.lab.fitting.twin import on_dome
+from tacshade_edge.lab.simulator.render import PinProfile, Print, Renderer, print_features
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model, tactip
+from tacshade_edge.lab.simulator.skin import chart_to_direction
 from tacshade_edge.types import F64, U8
 from tools.testbed.simulator.families import lattice_print
 from tools.training.varied import pin_outline, varied_print

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.simulator.press import Sdf, Shape, polygon
+from tacshade_edge.lab.simulator.press import Sdf, Shape, polygon
 from tacshade_edge.types import F64
 from tools.testbed.simulator.household import (
     Outline,

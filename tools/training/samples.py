@@ -11,13 +11,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.reference import pattern
-from tacshade_edge.core.geometry import disc_map
-from tacshade_edge.core.geometry.disc import Window, disc_mask
-from tacshade_edge.core.image import greyscale
-from tacshade_edge.core.image.white import CellMeans, Integrator, binarise
+from tacshade_edge.calibration.reference import pattern
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.fitting.skins import (
+from tacshade_edge.lab.fitting.skins import (
     NUISANCE_PART,
     Unevenness,
     disturbed,
@@ -26,12 +22,16 @@ from tacshade_edge.fitting.skins import (
     true_shear,
     wide_presses,
 )
-from tacshade_edge.fitting.twin import on_dome
-from tacshade_edge.simulator.drag import TURNING
-from tacshade_edge.simulator.model import SensorModel, random_model, tactip
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import CAP, PinProfile, Renderer, print_features
-from tacshade_edge.simulator.skin import Skin, undeformed
+from tacshade_edge.lab.fitting.twin import on_dome
+from tacshade_edge.lab.simulator.drag import TURNING
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.render import CAP, PinProfile, Renderer, print_features
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model, tactip
+from tacshade_edge.lab.simulator.skin import Skin, undeformed
+from tacshade_edge.sensor.geometry import disc_map
+from tacshade_edge.sensor.geometry.disc import Window, disc_mask
+from tacshade_edge.sensor.image import greyscale
+from tacshade_edge.sensor.image.white import CellMeans, Integrator, binarise
 from tacshade_edge.types import F32, U8, Bool, Disc, Geometry
 from tools.testbed.simulator.families import lattice_print, other_model
 from tools.training.outside import (

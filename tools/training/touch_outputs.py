@@ -19,7 +19,7 @@ import onnx
 import onnxruntime
 from onnx import TensorProto, helper
 
-from tacshade_edge.inference.network import WEIGHTS, in_integers
+from tacshade_edge.sensor.inference.network import WEIGHTS, in_integers
 
 NAMES = ("fast", "balanced", "accurate", "shear")
 PLACES = 7

@@ -34,9 +34,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from tacshade_edge.fitting.losses import LOSSES
-from tacshade_edge.fitting.spoilt_frames import spoil
-from tacshade_edge.fitting.training import halved
+from tacshade_edge.lab.fitting.losses import LOSSES
+from tacshade_edge.lab.fitting.spoilt_frames import spoil
+from tacshade_edge.lab.fitting.training import halved
 from tools.training.data import Data, batch, joined, load, other_looks, shards_in
 from tools.training.figures import FIGURES
 from tools.training.network import NETS, Net, ShearNet, averaged, like, make

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import Delaunay
 
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.render import PinProfile, Print, print_at, reach_mm
+from tacshade_edge.lab.simulator.render import PinProfile, Print, print_at, reach_mm
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.types import F64
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))

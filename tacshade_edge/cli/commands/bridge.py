@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from tacshade_edge.cli.commands.dashboard import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_option, address, need
-from tacshade_edge.devices.mqtt.client import BrokerAddress
-from tacshade_edge.devices.mqtt.follower import Follower
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories.links import password_in
+from tacshade_edge.mqtt.client import BrokerAddress
+from tacshade_edge.mqtt.follower import Follower
+from tacshade_edge.mqtt.links import password_in
 
 POLL_S = 0.1
 

@@ -16,49 +16,49 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.calibrate import calibrate, inputs_of, with_new_reference
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.calibration.files.indenter_file import read_indenters
+from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
+from tacshade_edge.calibration.files.press_table import read_presses
+from tacshade_edge.calibration.files.sensor_file import read_sensor
+from tacshade_edge.calibration.indenters import skin_z_mm
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.press_machine import from_travel
+from tacshade_edge.calibration.reference.pattern import CircleNotFoundError
+from tacshade_edge.calibration.reference.references import rezero
 from tacshade_edge.cli.shared.options import add_flag, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.cli.shared.rest import (
+from tacshade_edge.cli.shared.rest_option import (
     add_rest,
     rest_lines,
     rest_of,
     rest_report,
     rest_warnings,
 )
-from tacshade_edge.core.calibration.calibrate import calibrate, inputs_of, with_new_reference
-from tacshade_edge.core.calibration.indenters import skin_z_mm
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.core.calibration.machine import from_travel
-from tacshade_edge.core.calibration.reference.pattern import CircleNotFoundError
-from tacshade_edge.core.calibration.reference.references import rezero
-from tacshade_edge.core.depth.learned import FLAT_DEG
-from tacshade_edge.core.frame_check import camera
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.profiles import DEFAULT, PROFILES
-from tacshade_edge.core.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import (
+from tacshade_edge.files.atomic_files import disk_errors
+from tacshade_edge.files.drawing import reference_picture, write_picture
+from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.lab.simulator.render import project
+from tacshade_edge.quoting import counted
+from tacshade_edge.sensor.depth.learned import FLAT_DEG
+from tacshade_edge.sensor.frame_check import camera_drift
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.inference.network import (
     LabelledFrame,
     TouchResult,
     learn_touch,
     load_networks,
     report_lines,
 )
-from tacshade_edge.quoting import counted
-from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.simulator.render import project
-from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.images import images_in, read_image
-from tacshade_edge.storage.pictures import reference_picture, write_picture
-from tacshade_edge.storage.tables.indenters import read_indenters
-from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
-from tacshade_edge.storage.tables.presses import read_presses
+from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
+from tacshade_edge.sensor.touch.learning import LEAST_GROUPS, LEAST_ROWS
 from tacshade_edge.types import QUANTITIES, U8, Calibration, Geometry
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.fit import FitResult
+    from tacshade_edge.lab.fitting.fit import FitResult
 
 _SHOWN = 3
 # Options that have no effect with ``--rezero``, and what that keeps.
@@ -167,7 +167,7 @@ def run(args: argparse.Namespace) -> int:
         places = places_px(calibration.geometry, result.presses)
         _plot(args.plot, reference_picture(calibration.reference_grey, calibration, places))
     if args.fit:
-        from tacshade_edge.fitting.fit import fit
+        from tacshade_edge.lab.fitting.fit import fit
 
         say = partial(print, file=sys.stderr, flush=True)
         folder = args.out.with_name(f"{args.out.name}.fit")
@@ -239,7 +239,7 @@ def _presses(
 
 def _rezero(args: argparse.Namespace) -> int:
     args.reference = images_in(args.reference)
-    old, inputs = calibrations.load(args.rezero), calibration_file.inputs_in(args.rezero)
+    old, inputs = loading.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:
         renewed = rezero(old, images, args.allow_loaded_reference, list(map(str, args.reference)))
@@ -248,10 +248,10 @@ def _rezero(args: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
-    found = camera.drift(
-        camera.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey
+    found = camera_drift.drift(
+        camera_drift.look(old.reference_grey, disc, old.pitch_px), renewed.reference_grey
     )
-    changes = (camera.shift_reason(found, disc), found.light_reason)
+    changes = (camera_drift.shift_reason(found, disc), found.light_reason)
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
     names = {"moved_px": 2, "light": 3, "contrast": 3}
     changed = {name: round(getattr(found, name), digits) for name, digits in names.items()}

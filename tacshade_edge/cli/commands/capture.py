@@ -14,30 +14,30 @@ from collections.abc import Iterator, Mapping
 import msgspec
 import yaml
 
+from tacshade_edge.calibration.files.capture_folder import REFERENCES, CaptureFolder
+from tacshade_edge.calibration.files.indenter_file import read_indenters, write_printables
+from tacshade_edge.calibration.files.labels import LABELS, LabelFolder
+from tacshade_edge.calibration.files.press_table import BALL, read_plan
+from tacshade_edge.calibration.files.sensor_file import check_value, read_sensor
+from tacshade_edge.calibration.inputs import StatedSensor
+from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
+from tacshade_edge.camera import sources, v4l2_node
+from tacshade_edge.camera.v4l2 import FOURCCS
+from tacshade_edge.camera.v4l2_node import Lock
+from tacshade_edge.capture.capture_session import CaptureSession
 from tacshade_edge.capture.label_session import LabelSession
 from tacshade_edge.capture.live import InputEnded, Live, Terminal
 from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
 from tacshade_edge.capture.scale import BAUD, Scale, scale_port
-from tacshade_edge.capture.session import Session
 from tacshade_edge.cli.shared.options import NEXT_FIT, add_option, add_sensor
-from tacshade_edge.core.calibration.inputs import Sensor
-from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
-from tacshade_edge.devices.camera import v4l2_node
-from tacshade_edge.devices.camera.v4l2 import FOURCCS
-from tacshade_edge.devices.camera.v4l2_node import Lock
-from tacshade_edge.doctor.camera import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.camera_check import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.factories import sources
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.ports import check_serial, make_serial_port
 from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
-from tacshade_edge.settings.sensor_file import check_value, read_sensor
-from tacshade_edge.storage.tables.capture_folder import REFERENCES, CaptureFolder
-from tacshade_edge.storage.tables.indenters import read_indenters, write_printables
-from tacshade_edge.storage.tables.labels import LABELS, LabelFolder
-from tacshade_edge.storage.tables.presses import BALL, read_plan
 from tacshade_edge.types import Frame, Pose, Skin
 
 _CALIBRATION = "calibration.npz"
@@ -58,7 +58,7 @@ _PAD_QUESTIONS = {
     "polarity": _QUESTIONS["polarity"],
 }
 LEAST_TOUCHES = 8
-"""What `calibrate --touches` needs (`fitting.explained`, which imports what only a fit needs)."""
+"""What `calibrate --touches` needs (`lab.fitting.explained`, which a capture does not import)."""
 _MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
 _CAPTURING = Reason(
     ReasonCode.NOT_CALIBRATED,
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         ):
             if args.labels is None:
                 places = RobotPlaces(sensor, pose_at) if pose_at else None
-                Session(folder, sensor, live, terminal, plan, indenters, places).run()
+                CaptureSession(folder, sensor, live, terminal, plan, indenters, places).run()
             else:
                 labels = RobotLabels(sensor, pose_at) if pose_at else None
                 no_scale = contextlib.nullcontext()
@@ -149,7 +149,11 @@ def run(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _camera(
-    folder: CaptureFolder, chosen: Source, serial: Serial | None, terminal: Terminal, sensor: Sensor
+    folder: CaptureFolder,
+    chosen: Source,
+    serial: Serial | None,
+    terminal: Terminal,
+    sensor: StatedSensor,
 ) -> Iterator[Live]:
     """Open the camera and its page; write the daemon's settings if there are none."""
     with (
@@ -175,10 +179,10 @@ def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
     """Serve the robot's serial line as the daemon does, but requests have no effect;
     yields None without a robot.
     """
-    if serial is None or (port := sources.make_serial_port(serial)) is None:
+    if serial is None or (port := make_serial_port(serial)) is None:
         yield None
         return
-    from tacshade_edge.daemon.robot import Robot
+    from tacshade_edge.robot.robot import Robot
 
     statuses: list[bytes] = []
     state = {"source": "streaming", "health": {}}
@@ -212,7 +216,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     if path is not None:
         document = load(path, args.sensor)
         sources.check_source(document)
-        sources.check_serial(document)
+        check_serial(document)
         source = sources.sized(document.settings.source)
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             found = f"found another source in {document.where('source')}"
@@ -269,7 +273,7 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     )
 
 
-def _sensor(folder: CaptureFolder, terminal: Terminal) -> Sensor:
+def _sensor(folder: CaptureFolder, terminal: Terminal) -> StatedSensor:
     """Read SENSOR.yaml; if there is none, ask the user for its values first.
 
     Raises ConfigError, InputEnded.

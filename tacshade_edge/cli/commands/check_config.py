@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.camera import sources
 from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_option
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, links, sources
+from tacshade_edge.mqtt import links
 from tacshade_edge.reasons import Reason
+from tacshade_edge.robot.ports import check_serial
 from tacshade_edge.settings import file_schema, load_all, load_hand
 
 
@@ -32,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
     checks = (
         sources.check_source,
-        sources.check_serial,
+        check_serial,
         links.check_link,
-        calibrations.find_calibration,
+        loading.find_calibration,
     )
     for document in documents:
         for check in checks:

@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     need("dashboard", "dashboard", "websockets")
     from tacshade_edge.dashboard import server
-    from tacshade_edge.dashboard.bridge import Broker
+    from tacshade_edge.dashboard.relay import Broker
 
     start_logging(args.log_level)
     host, port = args.broker

@@ -16,13 +16,12 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli.commands.dashboard import ANY, in_url, is_loopback, make_token
 from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, need
-from tacshade_edge.demo import hand as demo_hand
-from tacshade_edge.demo import touchpad
-from tacshade_edge.demo.child import Child, broker_command, free_port, wait_for_port
-from tacshade_edge.demo.hand import make_calibration
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.lab.demo import demo_hand, touchpad
+from tacshade_edge.lab.demo.child import Child, broker_command, free_port, wait_for_port
+from tacshade_edge.lab.demo.demo_hand import make_calibration
 
 FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170
 HTTP: Final = 8080

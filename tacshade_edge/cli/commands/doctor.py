@@ -13,6 +13,7 @@ from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.options import (
     add_config,
@@ -21,20 +22,19 @@ from tacshade_edge.cli.shared.options import (
     add_profile,
     add_sensor,
 )
-from tacshade_edge.core.depth.learned import is_flat
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
+from tacshade_edge.doctor.judged_pictures import figures, judge_pictures
 from tacshade_edge.doctor.machine import Machine
-from tacshade_edge.doctor.pictures import figures, judge_pictures
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
+from tacshade_edge.files.images import images_in, read_image
 from tacshade_edge.quoting import escaped
 from tacshade_edge.quoting import shown as shown_path
 from tacshade_edge.reasons import Reason
+from tacshade_edge.sensor.depth.learned import is_flat
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.settings import load
-from tacshade_edge.storage.images import images_in, read_image
 from tacshade_edge.types import Calibration
 
 UNEXPLAINED_MOST = 1.0
@@ -121,8 +121,8 @@ def shown(finding: Finding, *, colour: bool) -> str:
 
 def _calibration(args: argparse.Namespace) -> Calibration:
     if args.calibration is not None:
-        return calibrations.load(args.calibration, store=False)
-    found = calibrations.find_calibration(load(args.config, args.sensor))
+        return loading.load(args.calibration, store=False)
+    found = loading.find_calibration(load(args.config, args.sensor))
     if isinstance(found, Reason):
         raise ConfigError(f"{found.text}; or pass --calibration CAL.npz", code=found.code)
     return found
@@ -175,8 +175,8 @@ def _shares_left(
     known = PROFILES[profile].network is not None and not is_flat(calibration.geometry)
     if not paths or not known or not all(map(find_spec, ("numba", "scipy"))):
         return {}
-    from tacshade_edge.fitting.explained import shares_left
-    from tacshade_edge.fitting.identify import identify
+    from tacshade_edge.lab.fitting.explained import shares_left
+    from tacshade_edge.lab.fitting.identify import identify
 
     print("holding maps against their pictures, up to a minute", file=sys.stderr)
     images = [read_image(path) for path in paths]

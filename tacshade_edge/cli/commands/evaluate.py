@@ -9,31 +9,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.calibration.files.labels import read_labels
+from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.options import COUNT, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.presses.press_selection import MIN_PRESSES
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations
+from tacshade_edge.files.images import read_image
 from tacshade_edge.lab.parallel import workers
-from tacshade_edge.quoting import encodable
-from tacshade_edge.reasons import text_of
-from tacshade_edge.simulator.press import OBJECTS
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.images import read_image
-from tacshade_edge.storage.tables.labels import read_labels
-from tacshade_edge.studies.evaluate import labelled as labels
-from tacshade_edge.studies.evaluate import report
-from tacshade_edge.studies.evaluate.score import Row
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import OBJECTS
+from tacshade_edge.lab.studies.evaluate import accuracy
+from tacshade_edge.lab.studies.evaluate import labelled as labels
+from tacshade_edge.lab.studies.evaluate.score import Row
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
     evaluate,
     reconstructor,
     score_cases,
 )
-from tacshade_edge.studies.tables import csv_text
+from tacshade_edge.lab.studies.markdown import csv_text
+from tacshade_edge.quoting import encodable
+from tacshade_edge.reasons import text_of
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Frame
 
 WORKING_SENSORS = "default,5,11,21"
@@ -113,8 +113,8 @@ def _own(args: argparse.Namespace) -> int:
 
 
 def _publish(args: argparse.Namespace, rows: Sequence[Row], settings: Mapping[str, Any]) -> None:
-    document = report.document(rows, settings)
-    study.publish(args, "evaluation", report.table(rows), {"": csv_text(Row, rows)}, document)
+    document = accuracy.document(rows, settings)
+    study.publish(args, "evaluation", accuracy.table(rows), {"": csv_text(Row, rows)}, document)
 
 
 def _labelled(args: argparse.Namespace) -> int:
@@ -126,7 +126,7 @@ def _labelled(args: argparse.Namespace) -> int:
     if args.images is None or args.calibration is None:
         args.parser.error("--labels requires --images DIR and --calibration CAL.npz")
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
-    calibration = calibrations.load(args.calibration, store=False)
+    calibration = loading.load(args.calibration, store=False)
     study.make_folder(args.out)
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}

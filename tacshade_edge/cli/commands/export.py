@@ -6,18 +6,18 @@ import argparse
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.shared.options import add_option, add_profile, warn
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.touch.answer import PLAIN
-from tacshade_edge.daemon.replay import Progress, replay
+from tacshade_edge.daemon.playback import PlaybackProgress, replay
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import make_reconstructor
 from tacshade_edge.quoting import counted
-from tacshade_edge.storage.exports.files import Add, csv_export, ply_export, write_hand_csv
-from tacshade_edge.storage.recording.mcap import is_mcap, require_mcap
-from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
+from tacshade_edge.recording.exports.table_export import Add, csv_export, ply_export, write_hand_csv
+from tacshade_edge.recording.mcap import is_mcap, require_mcap
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_of
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.touch.touch_answer import PLAIN
 from tacshade_edge.types import Calibration
 
 SENSOR_ID = "replay"
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     content = content_of(path)
     calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    progress = Progress()
+    progress = PlaybackProgress()
     with _export(args.to, out, calibration, args.profile, content) as add:
         replay(recording, reconstructor, [add], progress, speed=None, undecodable=warn)
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
@@ -82,11 +82,11 @@ def _export_hand(args: argparse.Namespace) -> int:
             "--out: found no file name, expected the name of a new file to export several "
             "recordings to"
         )
-    from tacshade_edge.factories.hand_recordings import read_hand
+    from tacshade_edge.hand.hand_recordings import read_hand
 
     if args.to == "mcap":
         require_mcap()
-        from tacshade_edge.storage.exports.mcap_export import write_hand_mcap
+        from tacshade_edge.recording.exports.mcap_export import write_hand_mcap
 
         hand = read_hand(args.input, args.profile)
         count = write_hand_mcap(args.out, hand.hand_id, hand.messages)
@@ -113,8 +113,8 @@ def _export(
     if to == "ply":
         return ply_export(out)
     require_mcap()
-    from tacshade_edge.factories.hand_recordings import recorded_settings
-    from tacshade_edge.storage.exports.mcap_export import mcap_export
+    from tacshade_edge.hand.hand_recordings import recorded_settings
+    from tacshade_edge.recording.exports.mcap_export import mcap_export
 
     try:
         settings = recorded_settings(content)
@@ -141,7 +141,7 @@ def _calibration(recording: Path, given: Path | None) -> Calibration:
 
     Raises ConfigError if there is neither.
     """
-    own = calibrations.of_recording(recording) if given is None else calibrations.load(given)
+    own = loading.of_recording(recording) if given is None else loading.load(given)
     if own is None:
         raise ConfigError(
             f"{recording}: contains no {CALIBRATION_NAME}; pass --calibration CAL.npz"

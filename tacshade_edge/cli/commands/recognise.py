@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import objects_file
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.touches import touched_images
-from tacshade_edge.core.recognition.answer import Answer
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.objects import make_recogniser
-from tacshade_edge.storage.calibration import objects_file
-from tacshade_edge.storage.images import images_in
+from tacshade_edge.files.images import images_in
+from tacshade_edge.sensor.inference.object_names import make_recogniser
+from tacshade_edge.sensor.recognition.answer import Answer
 from tacshade_edge.types import F32
 
 
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     not be used.
     """
     images = images_in(args.images)
-    calibration = calibrations.load(args.calibration)
+    calibration = loading.load(args.calibration)
     known = calibration.known.get(args.profile)
     if not known:
         path = objects_file.path_beside(args.calibration)

@@ -9,26 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_outline, add_profile
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import profile_with
-from tacshade_edge.daemon.ledger import StageTimer
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.files.atomic_files import disk_errors, write_whole
+from tacshade_edge.files.drawing import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
+from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.pipeline.ledger import StageTimer
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.atomic_files import disk_errors, write_whole
-from tacshade_edge.storage.images import images_in, read_image
-from tacshade_edge.storage.pictures import (
-    SHEET_TILES,
-    Tile,
-    contact_sheet,
-    panel,
-    tile,
-    write_picture,
-)
-from tacshade_edge.storage.runs import summary
+from tacshade_edge.recording.runs import summary
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import profile_with
 from tacshade_edge.types import Frame, Reconstruction
 
 SHEET = "contact-sheet.png"
@@ -68,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             why = "the results of one would overwrite those of the other"
             raise ConfigError(f"{path}: another image is also named {path.stem}; {why}")
         stems.add(path.stem)
-    calibration = calibrations.load(args.calibration)
+    calibration = loading.load(args.calibration)
     reconstructor = make_reconstructor(calibration, profile_with(args.profile, args.outline))
     records, unreadable, invalid, progress, tiles, timer = (
         [],

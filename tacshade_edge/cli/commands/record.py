@@ -15,14 +15,14 @@ from typing import Any
 
 from tacshade_edge.cli.shared.options import add_config, add_option, add_sensor, number
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.devices.mqtt.caller import MqttCaller
 from tacshade_edge.errors import DecodeError, DeviceError
-from tacshade_edge.factories import links
-from tacshade_edge.protocol.codec import decode_object
-from tacshade_edge.protocol.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
+from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.caller import MqttCaller
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.settings import load
+from tacshade_edge.wire.codec import decode_object
+from tacshade_edge.wire.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 
 ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
 STATUS = "status/recorder"

@@ -7,6 +7,7 @@ import contextlib
 import re
 import signal
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.shared.options import (
     COUNT,
     POSITIVE,
@@ -17,17 +18,17 @@ from tacshade_edge.cli.shared.options import (
     warn,
 )
 from tacshade_edge.cli.shared.progress import Progress as Shown
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.daemon.replay import Deliver, Playback, Progress, ReplayLink, replay
-from tacshade_edge.devices.mqtt.client import BrokerAddress
+from tacshade_edge.daemon.playback import Deliver, Playback, PlaybackProgress, ReplayLink, replay
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations, links
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.quoting import counted, shown
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_of
+from tacshade_edge.recording.runs import RunWriter, figures, first_difference
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.settings import load
-from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.recording.recording_content import CALIBRATION_NAME, content_of
-from tacshade_edge.storage.runs import RunWriter, figures, first_difference
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,9 +140,7 @@ def _replay(args: argparse.Namespace) -> int:
         warn(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
         warn(recording.damage)
-    calibration = (
-        calibrations.of_recording(args.input) if given is None else calibrations.load(given)
-    )
+    calibration = loading.of_recording(args.input) if given is None else loading.load(given)
     assert calibration is not None  # `_mistake` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     for number in (
@@ -149,7 +148,7 @@ def _replay(args: argparse.Namespace) -> int:
         signal.SIGINT,
     ):  # SIGINT too: a shell's background jobs start with it ignored
         signal.signal(number, signal.default_int_handler)
-    progress, shown, interrupted = Progress(), Shown(), False
+    progress, shown, interrupted = PlaybackProgress(), Shown(), False
     sinks: list[Deliver] = []
     played: Recording | Playback = recording
     with contextlib.ExitStack() as stack:

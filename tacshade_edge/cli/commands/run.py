@@ -8,17 +8,19 @@ import os
 import signal
 from typing import TYPE_CHECKING
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.camera import sources
 from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_config
 from tacshade_edge.daemon.app import App
+from tacshade_edge.daemon.named_files import check_files
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
-from tacshade_edge.factories import calibrations, sources
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
 
 if TYPE_CHECKING:
-    from tacshade_edge.daemon.hand import FingerLine
-    from tacshade_edge.daemon.robot import SharedLine
+    from tacshade_edge.daemon.hand_process import FingerLine
+    from tacshade_edge.robot.robot import SharedLine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,13 +39,13 @@ def run(args: argparse.Namespace) -> int:
         start_logging(args.log_level, documents[0].settings.sensor_id, each_line=False)
         gc.freeze()  # the collector would search all modules while a frame waits
         return _run_sensor(documents[0])
-    from tacshade_edge.daemon import hand as hand_process  # only a hand or several sensors need it
+    from tacshade_edge.daemon import hand_process  # only a hand or several sensors need it
 
     hand = load_hand(args.config)
     lines = hand_process.Lines(hand.fingers if hand else ())
     shared_lines: dict[str, SharedLine] = {}
     if any(document.settings.serial for document in documents):
-        from tacshade_edge.daemon.robot import share_lines
+        from tacshade_edge.robot.robot import share_lines
 
         shared_lines = share_lines(documents)
 
@@ -61,9 +63,9 @@ def run(args: argparse.Namespace) -> int:
 def _run_sensor(
     document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None
 ) -> int:
-    sources.check_files(document)
-    calibration = calibrations.find_calibration(document, store=True)
-    source = sources.make_source(document.settings.source, calibrations.size_px(calibration))
+    check_files(document)
+    calibration = loading.find_calibration(document, store=True)
+    source = sources.make_source(document.settings.source, loading.size_px(calibration))
     app = App(document, source, calibration, hand_line, robot_line)
     stopped: list[int] = []
 

@@ -16,27 +16,22 @@ from typing import Any, get_args
 import numpy as np
 import yaml
 
-from tacshade_edge.cli.shared.options import (
-    COUNT,
-    FINITE,
-    NEXT_FIT,
-    add_cluster,
-    add_option,
-)
+from tacshade_edge.calibration.files import press_table
+from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_cluster, add_option
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.atomic_files import disk_errors
+from tacshade_edge.files.images import png
 from tacshade_edge.lab.parallel import reported_map, workers
+from tacshade_edge.lab.simulator import pad as pads
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, flattened, random_model
+from tacshade_edge.lab.simulator.tacshade import OBJECT_SCALE, TACSHADE
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, SimulatedSensor
 from tacshade_edge.quoting import counted
+from tacshade_edge.recording import frame_table
 from tacshade_edge.rigid import from_seven
-from tacshade_edge.simulator import pad as pads
-from tacshade_edge.simulator.model import SensorModel, flattened, random_model
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
-from tacshade_edge.simulator.script import ball_presses
-from tacshade_edge.simulator.tacshade import OBJECT_SCALE, TACSHADE
-from tacshade_edge.simulator.truth import SimulatedFrame, SimulatedSensor
-from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.storage.images import png
-from tacshade_edge.storage.tables import frame_table, presses
 from tacshade_edge.types import Skin
 
 MODELS = ("default", "tacshade")
@@ -197,9 +192,9 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
         name = f"press_{k:03d}.png"
         image = sensor.frame((press,), seed * _SEED_STRIDE + REFERENCES + k).image
         (folder / name).write_bytes(png(image))
-        rows.append((name, presses.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
+        rows.append((name, press_table.BALL, radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         progress("presses", k + 1, count)
-    _write_csv(folder / "PRESSES.csv", presses.HEADER, rows)
+    _write_csv(folder / "PRESSES.csv", press_table.HEADER, rows)
     print(
         f"{folder}: {REFERENCES} references, {counted(count, 'ball press')}, SENSOR.yaml, "
         "PRESSES.csv"

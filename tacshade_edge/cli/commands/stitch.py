@@ -11,21 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.stitching.flange import ContactFrame, delay_seen, find_flange, unseen
-from tacshade_edge.core.stitching.refinement import correction
-from tacshade_edge.core.stitching.stitcher import StitchedMap
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.reasons import text_of
-from tacshade_edge.rigid import Rigid, from_seven
-from tacshade_edge.storage.recording.recording import Recording
-from tacshade_edge.storage.stitching.map_files import FLANGE, press_record, write_flange, write_map
-from tacshade_edge.storage.tables.frame_table import read_poses
-from tacshade_edge.studies.stitch.presses import (
-    Press,
+from tacshade_edge.lab.studies.stitch.map_presses import (
+    MapPress,
     averaged,
     frames_of_presses,
     read_contact_frames,
@@ -33,7 +24,16 @@ from tacshade_edge.studies.stitch.presses import (
     read_recording,
     stitcher_of,
 )
-from tacshade_edge.studies.stitch.truth import comparison_png, read_known, score
+from tacshade_edge.lab.studies.stitch.map_truth import comparison_png, read_known, score
+from tacshade_edge.reasons import text_of
+from tacshade_edge.recording.frame_table import read_poses
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.stitching.flange import ContactFrame, delay_seen, find_flange, unseen
+from tacshade_edge.stitching.map_files import FLANGE, press_record, write_flange, write_map
+from tacshade_edge.stitching.refinement import correction
+from tacshade_edge.stitching.stitcher import FinishedMap
 
 TILES, MEAN = "tiles", "mean"
 PRESSES_MIN = 12
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--truth: found --find-flange as well, expected only one of the two")
     if args.find_flange and args.fusion != TILES:
         raise ConfigError("--fusion: found --find-flange as well, which makes no map")
-    calibration = calibrations.load(args.calibration)
+    calibration = loading.load(args.calibration)
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
     apex_mm = calibration.geometry.apex_z_mm
@@ -143,7 +143,7 @@ def _print(out: Path, about: dict[str, Any]) -> None:
             print(f"  {name}: {_line(about[key])}")
 
 
-def _details(presses: list[Press], finished: StitchedMap) -> dict[str, Any]:
+def _details(presses: list[MapPress], finished: FinishedMap) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import objects_file
+from tacshade_edge.calibration.files.objects_file import Known
 from tacshade_edge.cli.shared.options import (
     DEFAULT_CONFIG,
     add_flag,
@@ -19,20 +22,18 @@ from tacshade_edge.cli.shared.options import (
 )
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.touches import TOO_LIGHT, touched_images, without_names
-from tacshade_edge.core.geometry.disc import Grid, disc_rays
-from tacshade_edge.core.geometry.disc_map import with_finite_radius
-from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.factories import calibrations, links
+from tacshade_edge.files.images import images_in
 from tacshade_edge.library.frames import open as open_camera
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.subscriber import listen
+from tacshade_edge.mqtt import links
 from tacshade_edge.quoting import counted
+from tacshade_edge.sensor.geometry.disc import Grid, disc_rays
+from tacshade_edge.sensor.geometry.disc_map import with_finite_radius
+from tacshade_edge.sensor.profiles import LADDER, PROFILES
+from tacshade_edge.sensor.recognition.naming import describe_touch
 from tacshade_edge.settings import Document, load
-from tacshade_edge.storage.calibration import objects_file
-from tacshade_edge.storage.calibration.objects_file import Known
-from tacshade_edge.storage.images import images_in
 from tacshade_edge.types import F32, HeightMap
 
 TOUCHES = 3
@@ -100,7 +101,7 @@ def _forget(path: Path, name: str) -> int:
 def _from_images(
     calibration_path: Path, path: Path, name: str, profiles: Iterable[str], images: list[Path]
 ) -> int:
-    calibration, profiles = calibrations.load(calibration_path), tuple(profiles)
+    calibration, profiles = loading.load(calibration_path), tuple(profiles)
     progress, used, known = Progress(), 0, calibration.known
     for touched in touched_images(without_names(calibration), profiles, images, progress):
         if touched is None:

@@ -11,31 +11,28 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.reference.references import with_reference
 from tacshade_edge.cli.shared import study
 from tacshade_edge.cli.shared.options import POSITIVE, add_option, need, number, warn
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.calibration.reference.references import with_reference
-from tacshade_edge.core.image.greyscale import to_grey
-from tacshade_edge.core.image.preprocess import halved_calibration
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
 from tacshade_edge.lab.parallel import usable_cores, workers
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import PAPER_OBJECTS, Press
-from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS, Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, skin_under
+from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCE_NOISE,
     REFERENCES,
     calibrate_sensors,
 )
-from tacshade_edge.studies.tradeoff import report
-from tacshade_edge.studies.tradeoff.measure import (
+from tacshade_edge.lab.studies.tradeoff import tradeoff_report
+from tacshade_edge.lab.studies.tradeoff.measure import (
     OUTPUTS,
-    Judged,
+    JudgedFrames,
     Setting,
     Simulation,
     judge,
@@ -43,11 +40,14 @@ from tacshade_edge.studies.tradeoff.measure import (
     settings,
     simulated,
 )
+from tacshade_edge.sensor.image.greyscale import to_grey
+from tacshade_edge.sensor.image.preprocess import halved_calibration
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, Calibration
 
 if TYPE_CHECKING:
-    from tacshade_edge.fitting.lattice import Layout
-    from tacshade_edge.fitting.prints import Kind
+    from tacshade_edge.lab.fitting.lattice import Layout
+    from tacshade_edge.lab.fitting.prints import Kind
 
 SENSORS = "default,5"
 BUSY = 1.1
@@ -115,14 +115,18 @@ def run(args: argparse.Namespace) -> int:
             f"the machine was busy: frames took {busy:.1f} times as long as the processor time "
             "shown here"
         )
-    csv = {"": report.csv_text(rows)}
-    study.publish(args, "tradeoff", report.table(rows), csv, report.document(rows, busy))
+    csv = {"": tradeoff_report.csv_text(rows)}
+    study.publish(
+        args, "tradeoff", tradeoff_report.table(rows), csv, tradeoff_report.document(rows, busy)
+    )
     if drawn:
-        study.write(args.out / "tradeoff.png", report.draw(rows, args.budget_ms))
+        study.write(args.out / "tradeoff.png", tradeoff_report.draw(rows, args.budget_ms))
     holds = True
     if (args.budget_ms, args.fps, args.fingers) != (None, None, None):
-        wish = report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
-        holds, text = report.choose([row for row in rows if row.outputs == asked[-1]], wish)
+        wish = tradeoff_report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
+        holds, text = tradeoff_report.choose(
+            [row for row in rows if row.outputs == asked[-1]], wish
+        )
         if holds:
             print(f"\n{text}", file=sys.stderr if args.json else sys.stdout)
         else:
@@ -132,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _simulated(
     args: argparse.Namespace, profiles: tuple[str, ...]
-) -> tuple[tuple[Setting, ...], Calibration, list[Judged]]:
+) -> tuple[tuple[Setting, ...], Calibration, list[JudgedFrames]]:
     """Judge on simulated sensors: a twin of the user's, or the named ones;
     the calibration is the first sensor's.
     """
@@ -193,9 +197,9 @@ def _report(args: argparse.Namespace) -> int:
 def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     """A simulation of the user's sensor, from its calibration's reference."""
     need("tradeoff --calibration without --images", "fit", "numba")
-    from tacshade_edge.fitting import identify, lattice, prints
+    from tacshade_edge.lab.fitting import identify, lattice, prints
 
-    calibration = calibrations.load(args.calibration)
+    calibration = loading.load(args.calibration)
     small, times = calibration, 1
     while (
         small.image_width_px > WIDEST_PX
@@ -218,17 +222,17 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     )
     seen = {name: getattr(prints.base_model(whole), name) for name in at}
     model = replace(model, blur_px=model.blur_px * times, **seen)
-    make = partial(Twin, model, found[0].kind, layout, prints.seen_light(whole)[0])
+    make = partial(OwnTwin, model, found[0].kind, layout, prints.seen_light(whole)[0])
     sensor = make()
     greys = [to_grey(sensor.frame((), REFERENCE_NOISE + k).image) for k in range(REFERENCES)]
     return Simulation("twin", None, make, with_reference(whole, greys))
 
 
-class Twin:
-    """A simulated sensor with a print that was found (`fitting.identify`)."""
+class OwnTwin:
+    """A simulated sensor with a print that was found (`lab.fitting.identify`)."""
 
     def __init__(self, model: SensorModel, kind: Kind, layout: Layout, light: F32) -> None:
-        from tacshade_edge.fitting.prints import TwinRenderer, print_of
+        from tacshade_edge.lab.fitting.prints import TwinRenderer, print_of
 
         self.model = model
         self._renderer = TwinRenderer(model, kind, print_of(model, kind, layout), light)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import urlsplit
 
-from tacshade_edge.core.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.sensor.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.version import how_to_install
 
 DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")

@@ -11,15 +11,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tacshade_edge.calibration import loading
 from tacshade_edge.cli.shared.options import add_cluster, add_flag, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.profiles import PROFILES
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.factories import calibrations
-from tacshade_edge.simulator.press import OBJECTS
-from tacshade_edge.storage.atomic_files import disk_errors
-from tacshade_edge.storage.images import images_in
-from tacshade_edge.studies.evaluate.work import Case, SensorName, read_images
+from tacshade_edge.files.atomic_files import disk_errors
+from tacshade_edge.files.images import images_in
+from tacshade_edge.lab.simulator.press import OBJECTS
+from tacshade_edge.lab.studies.evaluate.work import Case, SensorName, read_images
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Calibration
 from tacshade_edge.version import how_to_install
 
@@ -91,7 +91,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
             f"{args.images}: found no folder, "
             "expected one with images and their ground truth (.npz)"
         )
-    calibration, paths = calibrations.load(args.calibration), images_in([args.images])
+    calibration, paths = loading.load(args.calibration), images_in([args.images])
     make_folder(args.out)
     mistakes: list[str] = []
     report = Progress()

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tacshade_edge.cli.shared.progress import Progress
-from tacshade_edge.core.geometry.disc_map import with_finite_radius
-from tacshade_edge.core.profiles import PROFILES
-from tacshade_edge.core.recognition.naming import describe_touch
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.inference.network import make_reconstructor
+from tacshade_edge.files.images import read_image
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.sensor.geometry.disc_map import with_finite_radius
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.recognition.naming import describe_touch
 from tacshade_edge.types import F32, Calibration, Frame, Reconstruction
 
 TOO_LIGHT = "found no touch that is firm enough to show a form"

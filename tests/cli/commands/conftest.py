@@ -13,11 +13,11 @@ import pytest
 import yaml
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.lab.parallel import ThisProcess
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.pad import Bar, Pad
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.lab.simulator.pad import Bar, Pad
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.types import RestLimits
 
 
@@ -26,7 +26,7 @@ def small_pad() -> Iterator[None]:
     """A touchpad of one bar, pressed in this process."""
     with pytest.MonkeyPatch.context() as patch:
         small = Pad(14.0, 10.0, (Bar(2.1, 5.1, 12.1, 5.1, 3.0),))
-        patch.setattr("tacshade_edge.simulator.pad.touchpad", lambda: small)
+        patch.setattr("tacshade_edge.lab.simulator.pad.touchpad", lambda: small)
         patch.setattr(simulate, "workers", lambda cluster: nullcontext(ThisProcess()))
         yield
 

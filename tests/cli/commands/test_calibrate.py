@@ -16,13 +16,13 @@ from support.networks import fitted_with
 from support.sensor_files import write_files
 
 import tacshade_edge
+from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.calibration.indenters import Ball
 from tacshade_edge.cli import main
-from tacshade_edge.core.calibration.indenters import Ball
-from tacshade_edge.factories import calibrations
-from tacshade_edge.simulator import camera_faults
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.images import read_image
+from tacshade_edge.files.images import read_image
+from tacshade_edge.lab.simulator import camera_faults
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.types import U8
 
 pytestmark = pytest.mark.slow
@@ -214,7 +214,7 @@ def test_bad_input_is_one_line(
 def test_named_indenters(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Other shapes are in tests/core/calibration/test_indenters.py."""
+    """Other shapes are in tests/calibration/test_indenters.py."""
     header, *rows = rows_of(words)
     names = {row[2]: f"ball-{k}" for k, row in enumerate(rows[:12])}
     indenters = [
@@ -394,8 +394,8 @@ def test_a_new_reference_keeps_the_fit(
     old, new = tmp_path / "old.npz", tmp_path / "new.npz"
     calibration_file.save(old, fitted_with("fast", calibrated(), layout=layout))
     assert main(["calibrate", "--rezero", str(old), *alone[2:], "--out", str(new)]) == 0
-    assert set(calibrations.load(new).fitted) == (set() if layout else {"fast"})
-    assert calibrations.fits_to_renew(new) == (("fast",) if layout else ())
+    assert set(loading.load(new).fitted) == (set() if layout else {"fast"})
+    assert loading.fits_to_renew(new) == (("fast",) if layout else ())
 
 
 def test_a_fit_without_its_extra_names_it(
@@ -424,7 +424,7 @@ def test_a_fit_goes_into_the_file(
 ) -> None:
     """The fit itself is in tests/fitting."""
     pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
-    from tacshade_edge.fitting import fit
+    from tacshade_edge.lab.fitting import fit
 
     made = fit.FitResult(
         fitted_with("fast", calibrated()),
@@ -456,7 +456,7 @@ def test_a_refused_fit_writes_the_calibration_and_exits_1(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("torch", reason="PyTorch (the extra fit) is not installed")
-    from tacshade_edge.fitting import fit
+    from tacshade_edge.lab.fitting import fit
 
     made = fit.FitResult(calibrated(), ("nothing is fitted",), advice=("take touches",))
     monkeypatch.setattr(fit, "fit", lambda *_, **__: made)

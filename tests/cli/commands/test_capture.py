@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from support.person import Person, person
 
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.files.capture_folder import CaptureFolder
+from tacshade_edge.calibration.files.press_table import read_presses
+from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands.capture import LEAST_TOUCHES
-from tacshade_edge.core.calibration.calibrate import calibrate
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.settings import load
-from tacshade_edge.settings.sensor_file import read_sensor
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.storage.tables.capture_folder import CaptureFolder
-from tacshade_edge.storage.tables.presses import read_presses
 from tools.testbed.patience import wait_until
 from tools.testbed.robot import PtyRobot
 
@@ -153,7 +153,7 @@ def test_from_an_empty_folder_to_what_calibrate_reads(
 
 
 def test_as_many_touches_are_passed_on_as_a_fit_needs() -> None:
-    explained = pytest.importorskip("tacshade_edge.fitting.explained", exc_type=ImportError)
+    explained = pytest.importorskip("tacshade_edge.lab.fitting.explained", exc_type=ImportError)
     assert explained.LEAST_TOUCHES == LEAST_TOUCHES
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from support.person import Person, person
 
+from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
 from tacshade_edge.rigid import shift, turn
-from tacshade_edge.storage.tables.labels import LabelledImage, read_labels
 from tools.testbed.robot import PtyRobot
 
 Press = Callable[..., None]

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.settings import file_schema
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.painted_sensor import painted_calibration
 
 GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"

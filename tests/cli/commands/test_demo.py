@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from support.browser import CHROMIUM, DRIVER, browser, errors
 
-from tacshade_edge.demo import hand as demo_hand
-from tacshade_edge.protocol import wire
-from tacshade_edge.protocol.topics import decode_hand
+from tacshade_edge.lab.demo import demo_hand
 from tacshade_edge.settings import load_hand
+from tacshade_edge.wire import binary
+from tacshade_edge.wire.topics import decode_hand
 from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
 from tools.testbed.patience import patience, wait_until
 
@@ -85,11 +85,11 @@ def running(folder: Path) -> list[str]:
     return found
 
 
-def heights(page: Subscriber) -> list[wire.HeightMessage]:
+def heights(page: Subscriber) -> list[binary.HeightMessage]:
     decoded = [
-        wire.decode(bytes(m.payload)) for m in list(page.messages) if m.topic.endswith("/height")
+        binary.decode(bytes(m.payload)) for m in list(page.messages) if m.topic.endswith("/height")
     ]
-    return [message for message in decoded if isinstance(message, wire.HeightMessage)]
+    return [message for message in decoded if isinstance(message, binary.HeightMessage)]
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import pytest
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.commands.doctor import shown
 from tacshade_edge.doctor import fault, warning
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience

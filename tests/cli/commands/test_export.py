@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from support.recordings import record_hand
 
+from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.cli import main
-from tacshade_edge.core.touch.answer import PLAIN
-from tacshade_edge.storage.recording.recorder import Recorder, png_of
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
+from tacshade_edge.sensor.touch.touch_answer import PLAIN
 from tacshade_edge.types import Frame, Pose
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 
@@ -23,8 +24,8 @@ PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000
 
 
 def record(folder: Path) -> Path:
-    recorder = Recorder(folder)
-    recorder.begin("sensor_id: left-index\n", painted_calibration())
+    recorder = RecordingWriter(folder)
+    recorder.begin("sensor_id: left-index\n", packed(painted_calibration()))
     recorder.event(T_NS - 1, "start", {"state": "streaming", "wall_ns": WALL_NS - 1})
     for seq, image in enumerate(IMAGES):
         t_ns = T_NS + seq * PERIOD_NS

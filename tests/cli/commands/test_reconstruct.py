@@ -10,9 +10,9 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
 from support.progress_lines import without_progress
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.pictures import BAR_WIDTH_PX, LEFT_PX, RIGHT_PX
+from tacshade_edge.files.drawing import BAR_WIDTH_PX, LEFT_PX, RIGHT_PX
 from tacshade_edge.types import U8
 
 pytestmark = pytest.mark.slow

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.protocol import wire
+from tacshade_edge.recording.frame_table import HEADER, read_table
+from tacshade_edge.recording.runs import HEIGHTS, payloads
 from tacshade_edge.settings import load
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.runs import HEIGHTS, payloads
-from tacshade_edge.storage.tables.frame_table import HEADER, read_table
+from tacshade_edge.wire import binary
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
@@ -112,14 +112,14 @@ def about(folder: Path) -> dict[str, Any]:
     return read
 
 
-def replayed(rec: Path, out: Path) -> list[wire.HeightMessage]:
+def replayed(rec: Path, out: Path) -> list[binary.HeightMessage]:
     """The heights of a replay of a recording with the calibration beside it."""
     assert (
         main(["replay", str(rec), "--calibration", str(rec / "calibration.npz"), "--out", str(out)])
         == 0
     )
-    heights = [wire.decode(payload) for payload in payloads(out, HEIGHTS)]
-    return [height for height in heights if isinstance(height, wire.HeightMessage)]
+    heights = [binary.decode(payload) for payload in payloads(out, HEIGHTS)]
+    return [height for height in heights if isinstance(height, binary.HeightMessage)]
 
 
 def recording_frames(seen: Subscriber) -> int:
@@ -143,11 +143,11 @@ def test_a_replay_of_the_recording_gives_what_the_daemon_published(
     again = {height.t_ns: height for height in replayed(rec, tmp_path / "run")}
     rows = read_table(rec / "frames.csv")
     assert len(rows) == written["frames"] == len(again) > 20
-    live = [wire.decode(payload) for payload in seen.of(f"{BASE}/height")]
+    live = [binary.decode(payload) for payload in seen.of(f"{BASE}/height")]
     meanwhile = [height for height in live if rows[0].t_ns <= height.t_ns <= rows[-1].t_ns]
     assert len(meanwhile) > 10
     for height in meanwhile:
-        assert isinstance(height, wire.HeightMessage)
+        assert isinstance(height, binary.HeightMessage)
         assert height.height_mm.tobytes() == again[height.t_ns].height_mm.tobytes()
         assert height.pose == again[height.t_ns].pose
         assert (height.contact, height.calibration_crc32) == (

@@ -18,10 +18,10 @@ import pytest
 from support.golden_replay import FRAMES, GOLDEN, figures, write_input
 from support.recordings import write_recording
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tacshade_edge.protocol import wire
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.storage.runs import CLOUDS, HEIGHTS, SUMMARY, payloads
+from tacshade_edge.recording.runs import CLOUDS, HEIGHTS, SUMMARY, payloads
+from tacshade_edge.wire import binary
 from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from tools.testbed.patience import patience, wait_until
 
@@ -56,11 +56,11 @@ def test_every_frame_by_the_recordings_clock(
     records = summary(out)
     assert [r["contact"] for r in records] == [False, True, True, False, False]
     assert [r["valid"] for r in records] == [True, True, True, False, True]
-    heights = [wire.decode(payload) for payload in payloads(out, HEIGHTS)]
-    clouds = [wire.decode(payload) for payload in payloads(out, CLOUDS)]
+    heights = [binary.decode(payload) for payload in payloads(out, HEIGHTS)]
+    clouds = [binary.decode(payload) for payload in payloads(out, CLOUDS)]
     for k, (record, height, cloud) in enumerate(zip(records, heights, clouds, strict=True)):
-        assert isinstance(height, wire.HeightMessage)
-        assert isinstance(cloud, wire.CloudMessage)
+        assert isinstance(height, binary.HeightMessage)
+        assert isinstance(cloud, binary.CloudMessage)
         times = (record["t_ns"], height.t_ns, cloud.t_ns)
         assert times == (500 + k * 10_000_000,) * 3
         assert (record["seq"], height.seq, cloud.seq) == (k, k, k)

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tacshade_edge.protocol import wire
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.wire import binary
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
 from tools.testbed.patience import patience, stretched, wait_until
@@ -111,9 +111,9 @@ def test_a_signal_stops_it_cleanly(folder: Path, start: Start) -> None:
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         child, lines = start(settings(folder, broker.port))
         seen.wait_for(f"{BASE}/height", 20, 15)
-        heights = [wire.decode(p) for p in seen.of(f"{BASE}/height")]
+        heights = [binary.decode(p) for p in seen.of(f"{BASE}/height")]
         deepest = max(
-            float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, wire.HeightMessage)
+            float(np.nanmax(h.height_mm)) for h in heights if isinstance(h, binary.HeightMessage)
         )
         assert deepest == pytest.approx(touched_depth_mm(), abs=0.001)
         assert state(seen) == "online"
@@ -144,7 +144,7 @@ def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, sta
         "WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device"
     )
     assert broker.startswith(
-        f"WARNING tacshade_edge.devices.mqtt.link: 127.0.0.1:{port}: Connection refused"
+        f"WARNING tacshade_edge.mqtt.link: 127.0.0.1:{port}: Connection refused"
     )
     assert "; to fix it: " in camera
     assert "; to fix it: " in broker
@@ -163,7 +163,7 @@ def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
     code = (
-        "from tacshade_edge.cli.entry import entry; from tacshade_edge.storage.recording import "
+        "from tacshade_edge.cli.entry import entry; from tacshade_edge.recording import "
         "image_source\n"
         "def read(self): raise ZeroDivisionError('a defect')\n"
         "image_source.FilesSource.read = read\n"
@@ -215,10 +215,10 @@ OTHERS = {
 # Other commands; what waits for a reference to be taken, for a camera, for a simulated source;
 # what needs poses.
 COMMANDS, ON_DEMAND, POSES = (
-    "simulator studies dashboard doctor daemon.replay",
-    "core.calibration.calibrate devices.camera.v4l2 devices.camera.simulated",
-    "core.stitching.stitcher core.stitching.press_points daemon.session daemon.session_worker "
-    "storage.stitching.stitch_file",
+    "simulator studies dashboard doctor daemon.playback",
+    "calibration.calibrate camera.v4l2 lab.simulated_source",
+    "stitching.stitcher stitching.press_points stitching.session stitching.session_worker "
+    "stitching.stitch_file",
 )
 OWN = {f"tacshade_edge.{part}" for part in [*COMMANDS.split(), *ON_DEMAND.split()]}
 STITCHING = {f"tacshade_edge.{part}" for part in POSES.split()}
@@ -241,7 +241,7 @@ def test_imports_follow_the_settings(folder: Path) -> None:
     assert "onnxruntime" in network
     assert "onnxruntime" not in paper
     for modules in (network, paper):
-        assert "tacshade_edge.storage.recording.image_source" in modules
+        assert "tacshade_edge.camera.file_source" in modules
         assert modules & (OTHERS | OWN | STITCHING) == ({"scipy"} if modules is paper else set())
     (folder / "images" / "frames.csv").write_text(
         "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n0.png,0,0,0,0,1,0,0,0\n"

@@ -11,10 +11,10 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, unloaded
 from support.progress_lines import without_progress
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate, stitch
 from tacshade_edge.rigid import Rigid, shift, turn
-from tacshade_edge.storage.calibration import calibration_file
 from tools.testbed.bumpy_surface import APEX_MM
 from tools.testbed.flange_plan import exact_frames
 
@@ -205,7 +205,7 @@ def test_presses_too_far_apart_and_a_folder_that_cannot_be_written(
     (tmp_path / "file").write_text("")
     assert main(words(folder, tmp_path / "file" / "out")) == 1
     assert "cannot write it" in capsys.readouterr().err
-    monkeypatch.setattr("tacshade_edge.core.stitching.stitcher.TILES_MAX", 2)
+    monkeypatch.setattr("tacshade_edge.stitching.stitcher.TILES_MAX", 2)
     assert main(words(folder, tmp_path / "out")) == 78
     (line,) = without_progress(capsys.readouterr().err)
     assert "the map would exceed 2 tiles of 16 mm" in line

@@ -11,12 +11,12 @@ from support.calibrated_sensor import HALF, calibrated, found_prints, simulated
 from support.progress_lines import only_progress, without_progress
 from support.trade_points import row
 
+from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import tradeoff
-from tacshade_edge.cli.commands.tradeoff import Twin
-from tacshade_edge.simulator.press import Press, ball
-from tacshade_edge.storage.calibration import calibration_file
-from tacshade_edge.studies.tradeoff.measure import Judged, Row, Setting
+from tacshade_edge.cli.commands.tradeoff import OwnTwin
+from tacshade_edge.lab.simulator.press import Press, ball
+from tacshade_edge.lab.studies.tradeoff.measure import JudgedFrames, Offer, Setting
 from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 
@@ -78,13 +78,13 @@ def test_own_images_the_files_and_the_settings(
 
 
 def judged_nothing(
-    monkeypatch: pytest.MonkeyPatch, rows: Sequence[Row], busy: float = 1.0
+    monkeypatch: pytest.MonkeyPatch, rows: Sequence[Offer], busy: float = 1.0
 ) -> list[Sequence[Setting]]:
     """Replace the work by these rows; return the settings asked for."""
     asked: list[Sequence[Setting]] = []
-    touched = Judged("s", TOUCHED, True, np.ones(1, bool), np.zeros((1, 6)))
+    touched = JudgedFrames("s", TOUCHED, True, np.ones(1, bool), np.zeros((1, 6)))
 
-    def judge(settings: Sequence[Setting], *_: object) -> list[Judged]:
+    def judge(settings: Sequence[Setting], *_: object) -> list[JudgedFrames]:
         asked.append(settings)
         return [touched]
 
@@ -136,7 +136,7 @@ def test_the_report_of_a_board_names_no_host(
 def test_a_twin_looks_like_its_sensor() -> None:
     found = found_prints()[0]
     model, layout = found.at(found.values)
-    twin = Twin(model, found.kind, layout, found.light)
+    twin = OwnTwin(model, found.kind, layout, found.light)
     press = Press(ball(6.0), 2.0, 0.0, 3.0)
     own, like = (sensor.frame((press,), 1) for sensor in (simulated(HALF), twin))
     assert like.image.shape[:2] == own.image.shape[:2] == (240, 320)

@@ -21,8 +21,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacshade_edge.demo.hand import make_calibration
-from tacshade_edge.storage.calibration import calibration_file
+from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tools.testbed.mqtt_rig import Broker
 
 RECORD = Path(__file__).parent / "record.py"

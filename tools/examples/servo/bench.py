@@ -36,9 +36,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import undeformed
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.simulator.render import Renderer
+from tacshade_edge.lab.simulator.skin import undeformed
+from tacshade_edge.lab.studies.markdown import markdown
 from tools.testbed.mqtt_rig import Broker
 from tools.testbed.servo.skins import MODEL
 from tools.testbed.servo.world import Scene, scene

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.types import F64
 from tools.studies.strangers.motion import Pose, clearance_mm, moves
 

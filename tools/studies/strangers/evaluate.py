@@ -28,13 +28,13 @@ from typing import Any
 
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import CalibrationResult
-from tacshade_edge.core.depth.sigma import INTERVAL_90
-from tacshade_edge.core.profiles import LADDER
+from tacshade_edge.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.studies.evaluate.score import Label, score
-from tacshade_edge.studies.evaluate.work import reconstructor
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.studies.evaluate.score import Label, score
+from tacshade_edge.lab.studies.evaluate.work import reconstructor
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.depth.sigma import INTERVAL_90
+from tacshade_edge.sensor.profiles import LADDER
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.fingerprint import fingerprint
 from tools.studies import command
@@ -106,7 +106,7 @@ def judge(stranger: Stranger, calibration: Calibration) -> list[Judged]:
 
 def fitted(result: CalibrationResult, touches: Sequence[U8]) -> tuple[Calibration, list[str]]:
     """Fit the networks; a refused fit leaves the shipped ones and says why."""
-    from tacshade_edge.fitting.fit import fit  # PyTorch is needed only here
+    from tacshade_edge.lab.fitting.fit import fit  # PyTorch is needed only here
 
     try:
         made = fit(result.calibration, result.presses, lambda _: None, touches=touches)

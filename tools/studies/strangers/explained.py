@@ -9,8 +9,8 @@
 Nothing is fitted. The candidates are the shipped networks, whose heights are also made too low and
 too high by known factors. Each candidate has a mean error on Table I's objects, pressed and
 dragged, and leaves a share of twenty touches without labels unexplained
-(`tacshade_edge.fitting.explained`). Spearman's rank correlation between the two is given over all
-candidates, and over the networks as they are.
+(`tacshade_edge.lab.fitting.explained`). Spearman's rank correlation between the two is given over
+all candidates, and over the networks as they are.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.profiles import LADDER, PROFILES
-from tacshade_edge.fitting.explained import Choice, chosen_prints
-from tacshade_edge.fitting.identify import identify
-from tacshade_edge.inference.network import make_reconstructor
-from tacshade_edge.studies.evaluate.labelled import spearman
-from tacshade_edge.studies.evaluate.score import Label, score
-from tacshade_edge.studies.tables import markdown
+from tacshade_edge.lab.fitting.explained import Choice, chosen_prints
+from tacshade_edge.lab.fitting.identify import identify
+from tacshade_edge.lab.studies.evaluate.labelled import spearman
+from tacshade_edge.lab.studies.evaluate.score import Label, score
+from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import LADDER, PROFILES
 from tacshade_edge.types import Calibration, Frame, Reconstruction
 from tools.studies.strangers.families import FAMILIES
 from tools.studies.strangers.sensor import Stranger, calibrated

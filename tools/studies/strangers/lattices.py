@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.simulator.render import equal_area_to_direction
+from tacshade_edge.lab.simulator.render import equal_area_to_direction
 from tacshade_edge.types import F64
 
 _GOLDEN_RAD = math.pi * (3 - math.sqrt(5))

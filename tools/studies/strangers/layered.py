@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.types import F64
 from tools.studies.strangers import lattices
 from tools.studies.strangers.camera import HEIGHT_PX, WIDTH_PX, Camera
@@ -104,7 +104,7 @@ def layered(range_name: str, number: int, states: Path) -> Solved:
         exposure=exposure,
         inside=visible_part(camera, half_angle_deg, skin.radius_mm),
     )
-    stated = Sensor(
+    stated = StatedSensor(
         skin.radius_mm, distance_mm, half_angle_deg, "bright" if kind == "ringed" else "dark"
     )
 

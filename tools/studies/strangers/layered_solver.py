@@ -9,7 +9,7 @@ import math
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.types import F64
 from tools.studies.strangers import grid
 from tools.studies.strangers.hexahedra import Layer, Mesh, meshed, stiffness

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.types import F64
 from tools.studies.strangers import layered, oblate, oblate_solver
 from tools.studies.strangers.layered_solver import LayeredSolver, mesh_of

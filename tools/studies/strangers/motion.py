@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.types import F64
 
 _GRADIENT_MM = 1e-3

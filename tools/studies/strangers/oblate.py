@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import Sensor
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.types import F64, Polarity
 from tools.studies.strangers import lattices
 from tools.studies.strangers.camera import HEIGHT_PX, WIDTH_PX, Camera
@@ -136,7 +136,7 @@ def oblate(range_name: str, number: int, states: Path) -> Solved:
         inside=visible_part(camera, skin.half_angle_deg, rim_mm),
     )
     polarity: Polarity = "bright" if kind.startswith("dark") else "dark"
-    stated = Sensor(skin.radius_mm, distance_mm, skin.half_angle_deg, polarity)
+    stated = StatedSensor(skin.radius_mm, distance_mm, skin.half_angle_deg, polarity)
     dome = Dome(skin.radius_mm, skin.surface_z, DEEPEST_MM)
     return Solved(stated, dome, skin.rest_mm, painter, seed, states, range_name, number)
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tools.studies.strangers import grid
 from tools.studies.strangers.oblate import OblateSkin
 from tools.studies.strangers.paths import States

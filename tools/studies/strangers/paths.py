@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
 from tacshade_edge.types import F64
 
 SurfaceZ = Callable[[float, float], float]

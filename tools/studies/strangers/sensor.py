@@ -8,16 +8,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from tacshade_edge.core.calibration.calibrate import CalibrationResult, calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.inference.network import load_networks
-from tacshade_edge.studies.evaluate.score import KnownTruth
+from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth
+from tacshade_edge.sensor.inference.network import load_networks
 from tacshade_edge.types import U8
 
 REFERENCES, TOUCHES, BALLS = 5, 20, 40
 """Pictures of the untouched skin, unlabelled touches and ball presses that a user takes."""
 TOUCH_NOISE = 5000
-"""The seed of the first touch's noise; the others are `tacshade_edge.studies.evaluate.work`'s."""
+"""The seed of the first touch's noise; the others are those of `lab.studies.evaluate.work`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,7 @@ class Stranger(Protocol):
     """One sensor of a family."""
 
     @property
-    def stated(self) -> Sensor:
+    def stated(self) -> StatedSensor:
         """What its user writes into SENSOR.yaml."""
 
     def references(self, count: int = REFERENCES) -> list[U8]:

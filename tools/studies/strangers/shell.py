@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.types import F64, I64
 from tools.studies.strangers.motion import Pose, clearance_mm, moves
 

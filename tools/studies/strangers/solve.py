@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
 from tools.studies.strangers import layered, oblate
 from tools.studies.strangers.layered_solver import LayeredSolver
 from tools.studies.strangers.oblate_solver import OblateSolver

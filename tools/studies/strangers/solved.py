@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.simulator.press import PAPER_OBJECTS
-from tacshade_edge.simulator.skin import chart_to_direction
-from tacshade_edge.studies.evaluate.work import PRESS_NOISE, REFERENCE_NOISE, SCENE_NOISE
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
+from tacshade_edge.lab.simulator.skin import chart_to_direction
+from tacshade_edge.lab.studies.evaluate.work import PRESS_NOISE, REFERENCE_NOISE, SCENE_NOISE
 from tacshade_edge.types import U8
 from tools.studies.command import DEPTH_NOISE_MM, PLACE_NOISE_MM
 from tools.studies.strangers.paths import BALL_MM, Dome, States, paths, states_file
@@ -27,7 +27,7 @@ COUNTS = {"judged": 2 * len(PAPER_OBJECTS), "touch": TOUCHES, "ball": BALLS}
 class Solved:
     """A sensor whose states lie in a folder (`tools.studies.strangers.solve`)."""
 
-    stated: Sensor
+    stated: StatedSensor
     dome: Dome
     rest: RestMm
     painter: Painter

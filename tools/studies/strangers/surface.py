@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.skin import chart_to_direction, direction_to_chart
-from tacshade_edge.studies.evaluate.score import KnownTruth, between_pixels
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.skin import chart_to_direction, direction_to_chart
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, between_pixels
 from tacshade_edge.types import F32, F64
 from tools.studies.strangers.camera import HEIGHT_PX, WIDTH_PX, Camera
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import undeformed
-from tacshade_edge.studies.evaluate.score import KnownTruth
-from tacshade_edge.studies.evaluate.work import REFERENCE_NOISE, SCENE_NOISE
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
+from tacshade_edge.lab.simulator.render import Renderer
+from tacshade_edge.lab.simulator.skin import undeformed
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth
+from tacshade_edge.lab.studies.evaluate.work import REFERENCE_NOISE, SCENE_NOISE
 from tacshade_edge.types import F64, U8
 from tools.studies.strangers.sensor import BALLS, REFERENCES, TOUCH_NOISE, TOUCHES, Seen
 from tools.studies.third_family.domes import (
@@ -40,10 +40,10 @@ class Third:
     states: Path
 
     @property
-    def stated(self) -> Sensor:
+    def stated(self) -> StatedSensor:
         """What its user writes into SENSOR.yaml."""
         model, _ = drawn(self.range_name, self.number)
-        return Sensor(
+        return StatedSensor(
             model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
         )
 

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from tacshade_edge.core.calibration import indenters
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.press import OBJECTS, Press, distance_mm
-from tacshade_edge.simulator.render import PinProfile, Renderer
-from tacshade_edge.simulator.skin import Skin, direction_to_chart, undeformed
-from tacshade_edge.simulator.truth import Truth, measure, skin_points
-from tacshade_edge.studies.evaluate.work import PRESS_NOISE
+from tacshade_edge.calibration import indenters
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, distance_mm
+from tacshade_edge.lab.simulator.render import PinProfile, Renderer
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.lab.simulator.skin import Skin, direction_to_chart, undeformed
+from tacshade_edge.lab.simulator.truth import Truth, measure, skin_points
+from tacshade_edge.lab.studies.evaluate.work import PRESS_NOISE
 from tacshade_edge.types import F64
 from tools.studies.command import stated_press
 from tools.testbed.simulator.families import lattice_print

@@ -24,23 +24,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tacshade_edge.core.calibration.calibrate import calibrate
-from tacshade_edge.core.calibration.inputs import KnownPress, Sensor
-from tacshade_edge.core.depth.sigma import INTERVAL_90
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.inference.network import load_networks
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.skin import Skin, undeformed
-from tacshade_edge.simulator.truth import Truth, shear_mm, skin_points
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label, score
-from tacshade_edge.studies.evaluate.work import (
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.skin import Skin, undeformed
+from tacshade_edge.lab.simulator.truth import Truth, shear_mm, skin_points
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label, score
+from tacshade_edge.lab.studies.evaluate.work import (
     REFERENCE_NOISE,
     REFERENCES,
     SCENE_NOISE,
     reconstructor,
 )
-from tacshade_edge.studies.tables import csv_text, grouped, summary
+from tacshade_edge.lab.studies.markdown import csv_text, grouped, summary
+from tacshade_edge.sensor.depth.sigma import INTERVAL_90
+from tacshade_edge.sensor.inference.network import load_networks
 from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tools.studies.third_family.domes import (
     FIRST_SEED,
@@ -117,7 +117,7 @@ def calibrated(range_name: str, sensor: int, presses: Sequence[KnownPress] = ())
     model, dome = drawn(range_name, sensor)
     draws = renderer(model, FIRST_SEED[range_name] + sensor)
     untouched = draws.draw(undeformed(dome.radius_mm))
-    stated = Sensor(
+    stated = StatedSensor(
         model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
     )
     references = [draws.expose(untouched, REFERENCE_NOISE + k) for k in range(REFERENCES)]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.core.calibration.inputs import KnownPress
-from tacshade_edge.simulator.press import OBJECTS, Press
-from tacshade_edge.studies.evaluate.work import PRESS_NOISE
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.work import PRESS_NOISE
 from tools.studies.command import stated_press
 from tools.studies.third_family.domes import (
     FIRST_SEED,

@@ -28,8 +28,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import Delaunay
 
-from tacshade_edge.simulator.model import RIM_HALF_ANGLE_DEG
-from tacshade_edge.simulator.press import Press
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG
 from tacshade_edge.types import F64, I64, Bool
 from tools.studies.third_family.domes import (
     FIRST_SEED,

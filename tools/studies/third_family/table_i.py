@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.simulator.press import OBJECTS, PAPER_OBJECTS, Press
-from tacshade_edge.studies.evaluate.score import KnownTruth, Label
-from tacshade_edge.studies.evaluate.work import SCENE_NOISE, Case
+from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
+from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label
+from tacshade_edge.lab.studies.evaluate.work import SCENE_NOISE, Case
 from tacshade_edge.types import Calibration
 from tools.studies.third_family.domes import (
     FIRST_SEED,

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.simulator.render import Renderer
+from tacshade_edge.lab.simulator.render import Renderer
 from tacshade_edge.types import F64
 from tools.testbed.servo.skins import MODEL
 from tools.testbed.servo.world import LateRobot, scene

@@ -16,9 +16,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import OBJECTS, Press, Shape
-from tacshade_edge.simulator.skin import Skin, node_directions, press_skin, undeformed
+from tacshade_edge.lab.simulator.press import OBJECTS, Press, Shape
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.skin import Skin, node_directions, press_skin, undeformed
 from tacshade_edge.types import F32, F64
 
 MODEL: Final = replace(

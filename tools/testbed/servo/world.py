@@ -10,8 +10,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from tacshade_edge.lab.simulator.skin import Skin
 from tacshade_edge.rigid import Rigid, from_seven, shift, turn
-from tacshade_edge.simulator.skin import Skin
 from tacshade_edge.types import F64
 from tools.testbed.servo.skins import MODEL, EdgeSkins, PlaneSkins
 

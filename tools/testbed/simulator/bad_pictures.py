@@ -1,4 +1,4 @@
-"""What studies and tests do to pictures beside `simulator.camera_faults`,
+"""What studies and tests do to pictures beside `lab.simulator.camera_faults`,
 which a sensor in training meets.
 """
 

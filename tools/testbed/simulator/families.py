@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from tacshade_edge.cli.shared import study
-from tacshade_edge.simulator.drag import TURNING, drag_skin, two_scale_skin
-from tacshade_edge.simulator.model import SensorModel, random_model
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import CAP, FRUSTUM, Print, Renderer, print_at, reach_mm
-from tacshade_edge.simulator.skin import Skin, left_over, press_skin
-from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
-from tacshade_edge.studies.evaluate.work import FAMILIES, PressedSensor, SensorName
+from tacshade_edge.lab.simulator.drag import TURNING, drag_skin, two_scale_skin
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.render import CAP, FRUSTUM, Print, Renderer, print_at, reach_mm
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.lab.simulator.skin import Skin, left_over, press_skin
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, skin_under
+from tacshade_edge.lab.studies.evaluate.work import FAMILIES, PressedSensor, SensorName
 from tacshade_edge.types import F32, U8
 
 

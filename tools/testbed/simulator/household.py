@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tacshade_edge.simulator.press import Sdf, Shape, ball, polygon
+from tacshade_edge.lab.simulator.press import Sdf, Shape, ball, polygon
 from tacshade_edge.types import F64
 
 Outline = Callable[[F64, F64], F64]

@@ -28,12 +28,12 @@ from dataclasses import dataclass, fields, replace
 import cv2
 import numpy as np
 
-from tacshade_edge.simulator.drag import contact_nodes
-from tacshade_edge.simulator.model import SensorModel
-from tacshade_edge.simulator.press import Press
-from tacshade_edge.simulator.render import Renderer
-from tacshade_edge.simulator.skin import Skin, node_directions, undeformed
-from tacshade_edge.simulator.truth import SimulatedFrame, skin_under
+from tacshade_edge.lab.simulator.drag import contact_nodes
+from tacshade_edge.lab.simulator.press import Press
+from tacshade_edge.lab.simulator.render import Renderer
+from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.skin import Skin, node_directions, undeformed
+from tacshade_edge.lab.simulator.truth import SimulatedFrame, skin_under
 from tacshade_edge.types import F32, F64, Slip
 
 _INVERSE_STEPS = 24

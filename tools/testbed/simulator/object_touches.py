@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.core.geometry.disc import DiscRays
-from tacshade_edge.core.recognition.naming import describe_touch
-from tacshade_edge.simulator.press import Press, Shape
-from tacshade_edge.studies.evaluate.work import PressedSensor, reconstructor
+from tacshade_edge.lab.simulator.press import Press, Shape
+from tacshade_edge.lab.studies.evaluate.work import PressedSensor, reconstructor
+from tacshade_edge.sensor.geometry.disc import DiscRays
+from tacshade_edge.sensor.recognition.naming import describe_touch
 from tacshade_edge.types import F32, Bool, Calibration, Frame, Geometry, HeightMap
 
 REACH = 0.38  # of the places, in skin radii from the tip

@@ -1,1 +1,0 @@
-../../../tacshade_edge/protocol/wire_format.py

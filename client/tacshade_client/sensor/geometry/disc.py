@@ -1,0 +1,1 @@
+../../../../tacshade_edge/sensor/geometry/disc.py

@@ -1,0 +1,262 @@
+"""Detect mistakes in a whole table of presses: sizes of depths, balls and skin; axes, units,
+polarity; zero of the depths. A network is off on a sensor that it never saw by a nearly constant
+factor (`refit`). So the greatest height that it finds shows a wrong unit, the fall of the height
+around that the radius of a ball, and its depths against the true ones lie on a line through 0: if
+the stated ones lie on another line, their zero is another. Travel from first touch is off by an
+amount that grows with the distance from the middle; its share in the error, 0 or 1, is a third
+coefficient. (The weights: P. J. Huber, Ann. Math. Stat. 35, 1964.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tacshade_edge.calibration.indenters import Placed
+from tacshade_edge.calibration.observation import PressObservation, with_stated_place
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.types import F64, Geometry, Polarity
+
+# With fewer presses, or a network that sees a smaller part of them, nothing follows for the table.
+_LEAST_SIZED, _LEAST_SEEN_PART = 4, 0.5
+# Median ratio of shown to stated over all presses. Good tables: depths 0.6 to 1.3, balls 0.79 to
+# 1.6 (0.79 on a stiff skin over soft gel), places 0.95 to 1.05. Diameters: balls 0.40 to 0.63.
+_UNIT_FACTOR = 4.0
+_UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
+_BALL_FACTORS = (0.7, 1.85)
+# If all stated depths are too great by a constant, balls look smaller, and depths as much. Balls
+# over depths are 0.96 or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
+_LEAST_BALL_PER_DEPTH = 0.9
+_PLACE_FACTORS = (0.6, 1.4)
+# Places nearer to the middle than this (RMS, skin radii) show no factor:
+# a place is found within 1 mm.
+_LEAST_REACH_RADII = 0.1
+# Without places: if twice the skin's radius is stated, balls look three or more times as large,
+# and depths larger too.
+_SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
+_SKIN_MISTAKES = {"a diameter": 2.0, "half of the radius": 0.5, "in cm": 0.1}
+# Suggest other axes if they leave less than this part of an error
+# of at least this many mm on the nominal skin.
+_AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
+_AXES_LEAST_PRESSES = 4
+# Suggest the other polarity if it leaves less than the first part of an error that is at least the
+# second part of the presses' distance from the middle.
+_POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
+# Other readings of x and y: x is a·x + b·y, y is c·x + d·y.
+_AXES = {
+    "x and y are swapped": (0, 1, 1, 0),
+    "x has the opposite sign": (-1, 0, 0, 1),
+    "y has the opposite sign": (1, 0, 0, -1),
+    "x and y have the opposite sign": (-1, 0, 0, -1),
+    "x and y are swapped and have the opposite sign": (0, -1, -1, 0),
+    "the axes are turned by 90 degrees": (0, -1, 1, 0),
+    "the axes are turned by -90 degrees": (0, 1, -1, 0),
+    "x and y are in cm": (10, 0, 0, 10),
+    "x and y are in inches": (25.4, 0, 0, 25.4),
+    "x and y are in m": (1000, 0, 0, 1000),
+}
+# An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the
+# line's slope is one that the network has on known kinds of sensors. Good tables have 0.26 mm at
+# most. tools/studies/calibration.py measures what this finds, rightly and wrongly.
+_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS, _SLOPES = 0.3, 3.0, (0.85, 1.15)
+# Depths are travel from first touch if its coefficient exceeds this,
+# and so many standard deviations.
+_TRAVEL, _TRAVEL_DEVIATIONS = 0.7, 4.0
+# Error of a depth: a part of it, and mm on the nominal skin;
+# and the least deviation relative to that.
+_ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
+_HUBER, _ITERATIONS = 1.5, 25
+# Fewer presses show too little; with fewer than the second, no travel.
+_LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
+
+
+def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
+    """Mistakes that all presses share, or in the skin's size.
+
+    Only a network that sees the presses finds sizes.
+    """
+    seen = [o for o in observations if o.is_seen]
+    depth = _median([o.seen_depth_mm / o.depth_mm for o in seen])
+    is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)
+    ball = _median([o.ball_factor for o in seen if is_mostly_seen and math.isfinite(o.ball_factor)])
+    mistakes = [unit_mistake(depth), axes_hint(observations, geometry)]
+    if seen and not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
+        mistakes = [size_mistake(depth, ball, observations, geometry)]
+    return tuple(mistake for mistake in mistakes if mistake)
+
+
+def unit_mistake(factor: float) -> str:
+    """A message about a wrong unit of depths that images show as this much greater than stated;
+    empty if right.
+    """
+    if not factor > _UNIT_FACTOR:
+        return ""
+    unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
+    return (
+        f"PRESSES.csv: depth_mm: the images show presses about {factor:.0f} times as deep as "
+        f"stated: are the depths in {unit}? expected mm"
+    )
+
+
+def size_mistake(
+    depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
+) -> str:
+    """A wrong size of the skin or of all balls, by median ratios of shown to stated depths
+    and radii (NaN: unknown).
+    """
+    places = _place_factor(observations, geometry.size_mm)
+    skin = math.nan
+    if math.isfinite(places):
+        skin = places if not _PLACE_FACTORS[0] < places < _PLACE_FACTORS[1] else math.nan
+    elif _beyond(ball, _SKIN_BALL_FACTORS) and _beyond(depth, _SKIN_DEPTH_FACTORS):
+        skin = math.sqrt(ball * depth)
+    if math.isfinite(skin):
+        key, radius_mm = "skin_radius_mm", geometry.skin_radius_mm
+        if geometry.skin == "pad":
+            key, radius_mm = "visible_radius_mm", geometry.visible_radius_mm
+        asked = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
+        expected = f"expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
+        return (
+            f"SENSOR.yaml: {key}: found {radius_mm:g}, but with it the images show presses about "
+            f"{skin:.1f} times as large as PRESSES.csv: is it {asked}? {expected}"
+        )
+    if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
+        asked = "are they diameters?" if ball < 1 else "are they halved?"
+        return (
+            f"PRESSES.csv: radius_mm: the images show balls of about {ball:.1f} times the stated "
+            f"radii: {asked} expected radii in mm"
+        )
+    return ""
+
+
+def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> float:
+    """Ratio of the balls' shown to stated distances from the middle;
+    NaN if too little is stated.
+    """
+    balls = [o for o in observations if o.x_mm is not None and not o.indenter]
+    if len(balls) < _LEAST_SIZED:
+        return math.nan
+    stated = np.array([o.place_mm for o in balls])
+    shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
+    squares = float((stated * stated).sum())
+    if squares < len(stated) * (_LEAST_REACH_RADII * size_mm) ** 2:
+        return math.nan
+    return float((shown * stated).sum() / squares)
+
+
+def _median(values: Sequence[float] | F64) -> float:
+    return float(np.median(values)) if len(values) >= _LEAST_SIZED else math.nan
+
+
+def _beyond(value: float, bounds: tuple[float, float]) -> bool:
+    return value < bounds[0] or value > bounds[1]
+
+
+def other_polarity(polarity: Polarity) -> Polarity:
+    """The opposite."""
+    return "dark" if polarity == "bright" else "bright"
+
+
+def polarity_hint(
+    observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity
+) -> str:
+    """A hint at the other polarity, if the places of the same presses then fit clearly better;
+    empty otherwise.
+    """
+    found, else_found = (with_stated_place(presses) for presses in (observations, other))
+    if len(found) < _AXES_LEAST_PRESSES:
+        return ""
+    error, else_error = _error_mm(found), _error_mm(else_found)
+    reach = float(np.median([math.hypot(*o.place_mm) for o in found]))
+    if else_error > _POLARITY_PART * error or error < _POLARITY_LEAST_PART * reach:
+        return ""
+    if else_error > min(_error_mm(found, axes) for axes in _AXES.values()):
+        return ""  # other axes explain it better
+    return (
+        f"SENSOR.yaml: polarity: found {stated}, expected {other_polarity(stated)}: "
+        f"the places fit within {else_error:.1f} mm with it, not {error:.1f} mm"
+    )
+
+
+def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
+    """A hint at other axes, or another unit of the places, that fit clearly better;
+    empty if none do.
+    """
+    stated = with_stated_place(observations)
+    if len(stated) < _AXES_LEAST_PRESSES:
+        return ""
+    as_stated = _error_mm(stated)
+    best = min(_AXES, key=lambda name: _error_mm(stated, _AXES[name]))
+    error = _error_mm(stated, _AXES[best])
+    if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
+        return ""
+    return (
+        f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, "
+        f"if {best}"
+    )
+
+
+def _error_mm(
+    stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)
+) -> float:
+    """Median distance of the located places from the stated ones as read by other axes, mm."""
+    a, b, c, d = axes
+    places = [
+        (a * o.place_mm[0] + b * o.place_mm[1], c * o.place_mm[0] + d * o.place_mm[1])
+        for o in stated
+    ]
+    return float(
+        np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)])
+    )
+
+
+def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
+    """A better zero of the stated depths, judging by the greatest h that a network finds in each
+    press without a refit; empty if none is clearly better.
+
+    Raises ConfigError if the depths are certainly travel from first touch.
+    """
+    r, scale = geometry.skin_radius_mm, skin_scale(geometry)
+    found = np.asarray(found_mm) / scale
+    if len(found) < _LEAST_ZEROED or np.ptp(found) == 0:
+        return ""
+    stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
+    missing = (
+        stated
+        - np.array([at.deeper(at.first_touch_mm(r)).depth_max_mm(r) for at in placed]) / scale
+    )
+    x = np.stack((found, missing, np.ones_like(found)), axis=1)
+    if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
+        (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
+        if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):
+            raise ConfigError(
+                "PRESSES.csv: depth_mm: found travel from first touch, judging by the images: "
+                "pass --depth-from-touch, or state the undeformed skin's z at (x, y) minus the z "
+                "of the indenter's lowest point (docs/reference/calibration-files.md)"
+            )
+    (slope, offset), (_, deviation) = _robust_fit(x[:, [0, 2]], stated)
+    beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
+    if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):
+        return ""
+    change = f"{abs(offset) * scale:.1f} mm {'less' if offset > 0 else 'more'}"
+    return f"the depths fit better if all are {change}: check where depth is zero"
+
+
+def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
+    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths,
+    and their deviations (C,).
+    """
+    trust = 1 / np.hypot(_ERROR_MM, _ERROR_PART * x[:, 0])
+    weight = trust * trust
+    for _ in range(_ITERATIONS):
+        normal = x.T @ (x * weight[:, None])
+        coefficients = np.linalg.solve(normal, x.T @ (weight * stated))
+        error = np.abs(stated - x @ coefficients) * trust
+        deviation = max(1.4826 * float(np.median(error)), _LEAST_DEVIATION)
+        weight = trust * trust * np.minimum(1, _HUBER * deviation / np.maximum(error, 1e-9))
+    free = len(x) / (len(x) - x.shape[1])
+    deviations: F64 = deviation * np.sqrt(free * np.diag(np.linalg.inv(normal)))
+    return np.asarray(coefficients, np.float64), deviations

@@ -1,0 +1,406 @@
+"""Make a reference from images of the unloaded skin, and check it, most of all for a load: a free
+skin is alike all around its centre and changes smoothly outwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.calibration.reference import pattern, spacing
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.sensor.contact.gate import GATE_MM2, ContactGate
+from tacshade_edge.sensor.frame_check import camera_drift, picture, plain_judges
+from tacshade_edge.sensor.frame_check.camera_drift import Drift
+from tacshade_edge.sensor.frame_check.picture import DRIFT_LEVELS
+from tacshade_edge.sensor.geometry.disc import Grid, disc_mask, radius_squared
+from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.sensor.image import greyscale
+from tacshade_edge.sensor.image.preprocess import Preprocessor
+from tacshade_edge.sensor.image.white import eighth, squares
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Polarity
+
+# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the
+# disc, because a fine pattern makes every ring uneven), is this large (mm² on the nominal skin) and
+# alone: a square lattice makes four such patches, a quarter turn apart.
+# tools/studies/calibration.py measures what this finds, rightly and wrongly.
+LOAD_GREY, LOAD_DEVIATIONS, LOAD_MM2 = 22.0, 3.5, 9.0
+# A load in the middle is alike all around too, but bends the radial profile (second difference over
+# two rings). The outer rings are left out: light at the rim brightens and bends them without a
+# load.
+RINGS, MIDDLE_RINGS, LOAD_BEND_GREY = 12, 10, 22.0
+PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, network=None)
+"""Profile of the maps that compare references and presses:
+of whole images, and without a network.
+"""
+ASSUMED_NOISE_GREY, NOISE_REFERENCES = 1.0, 3
+"""Noise of g, RMS in grey levels, assumed for fewer references than the second."""
+# A reference of which more has changed against the mean of all is pressed:
+# a tip that sways reaches 0.22 (raw TacTips).
+LOADED_PART = 0.23
+# The old refit does not hold for a new reference with less than this part of the old contrast.
+_WORN_CONTRAST = 0.6
+# Part of the disc's radius in which a reference shows its polarity, relative width (log) of the
+# ring around the pattern's fundamental, and the least skewness of white pins: 0.72 to 1.3 on
+# TacTips, simulated and real, 0.55 at most on others (0.19 to 0.55 on square lattices, below 0 on
+# hexagonal ones).
+_MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
+
+
+def reference_load_reason(preprocessor: Preprocessor) -> str:
+    """A message why the reference seems to have been taken under load; empty if it does not.
+
+    The ratio of white shows objects that press between markers,
+    the spacing of the markers wide ones.
+    """
+    g0, voting, geometry = (
+        preprocessor.reference_g,
+        preprocessor.voting,
+        preprocessor.calibration.geometry,
+    )
+    grid, disc = preprocessor.grid, geometry.disc
+    rho2 = radius_squared(grid, disc)
+    residual = ring_residual(g0, rho2, voting)
+    deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
+    threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
+    elsewhere = np.median(
+        [quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0
+    )
+    lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
+    area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
+    if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
+        return (
+            f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin "
+            "around the centre"
+        )
+    if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
+        return (
+            "the skin's centre seems pressed in the reference: "
+            f"its profile bends by {bend:.0f} grey levels"
+        )
+    return spacing.widening_reason(preprocessor.calibration.reference_grey, geometry)
+
+
+def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
+    """g_0 less its median on each of 12 rings around the centre; 0 where `voting` is False."""
+    rings = np.minimum((np.sqrt(rho2) * RINGS).astype(int), RINGS)
+    residual: F32 = np.zeros_like(g0)
+    for ring in range(RINGS + 1):
+        cells = (rings == ring) & voting
+        if cells.any():
+            residual[cells] = g0[cells] - np.median(g0[cells])
+    return residual
+
+
+def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
+    """The values `turns` quarter turns around the disc's centre from each cell;
+    beyond the grid, its border's.
+    """
+    rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
+    cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
+    for _ in range(turns):
+        rows, cols = -cols, rows
+    i = np.rint((rows + disc.row_c - grid.row0) / grid.step_px).astype(int)
+    j = np.rint((cols + disc.col_c - grid.col0) / grid.step_px).astype(int)
+    turned: F32 = values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
+    return turned
+
+
+def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
+    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle,
+    from soft rings.
+    """
+    rho, profile = np.sqrt(rho2) * RINGS, []
+    for ring in range(MIDDLE_RINGS):
+        weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
+        if weight.any():
+            profile.append(float((weight * g0).sum() / weight.sum()))
+    mean = np.array(profile)
+    return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
+
+
+def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
+    """Replace the reference by the mean of binarised images,
+    and the noise by the deviation of g between them.
+    """
+    prepared = Preprocessor(calibration, PROFILE)
+    whites = [prepared.binarised(grey) for grey in greys]
+    noise = calibration.noise_grey
+    if len(greys) >= NOISE_REFERENCES:
+        ratios = [
+            prepared.ratio(prepared.integrator.integrate(white))[prepared.rays.inside]
+            for white in whites
+        ]
+        noise = float(np.sqrt(np.mean(np.var(np.stack(ratios), axis=0, ddof=1))))
+    reference_white = np.zeros_like(greys[0])
+    prepared.window.cut(reference_white)[...] = np.rint(
+        np.sum(whites, axis=0) * np.float32(255 / len(greys))
+    )
+    return replace(
+        calibration,
+        reference_white=reference_white,
+        reference_grey=pattern.mean_image(greys),
+        noise_grey=noise,
+    )
+
+
+def shown_polarity(calibration: Calibration) -> Polarity:
+    """The likely polarity of a reference: dark if white pins stand on black, as a TacTip's do.
+
+    Pins stand on a hexagonal lattice, so the third moment of the pattern's fundamental has the sign
+    of its peaks.
+    """
+    disc, pitch_px = calibration.geometry.disc, calibration.pitch_px
+    shape = height, width = calibration.image_height_px, calibration.image_width_px
+    side = 2 * round(pitch_px) + 1
+    detail = calibration.reference_grey - cv2.blur(
+        calibration.reference_grey.astype(np.float32), (side, side)
+    )
+    contrast = np.sqrt(np.maximum(cv2.blur(detail * detail, (side, side)), 0)) + 1
+    even = np.where(disc_mask(height, width, disc), np.clip(detail / contrast, -2, 2), 0)
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])) * (
+        pitch_px * 3**0.5 / 2
+    )
+    ring = np.exp(-0.5 * (np.log(np.maximum(frequency, 1e-6)) / _RING_WIDTH) ** 2)
+    wave = np.fft.irfft2(np.fft.rfft2(even) * ring, s=shape)
+    middle = wave[disc_mask(height, width, replace(disc, radius_px=_MIDDLE * disc.radius_px))]
+    skewness = (
+        float(np.mean(middle**3) / max(float(np.mean(middle**2)), 1e-12) ** 1.5)
+        if middle.size
+        else 0.0
+    )
+    return "dark" if skewness > _WHITE_PINS else "bright"
+
+
+def check_references(
+    calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Warn of differences between the images of a reference, and of a load if that is allowed.
+
+    Raises ConfigError on a load that is not, and on a camera that moved too far.
+    """
+    names = names or [str(number) for number in range(1, len(greys) + 1)]
+    disc, preprocessor = calibration.geometry.disc, Preprocessor(calibration, PROFILE)
+    warnings, gate = [], ContactGate(preprocessor)
+    if len(greys) < NOISE_REFERENCES:
+        warnings.append(
+            f"references: found {len(greys)}, expected 5 to measure noise; assuming "
+            f"{ASSUMED_NOISE_GREY} grey levels"
+        )
+    first = camera_drift.look(greys[0], disc, calibration.pitch_px)
+    for name, grey in zip(names[1:], greys[1:], strict=True):
+        drift = camera_drift.drift(first, grey)
+        shift = camera_drift.shift_reason(drift, disc)
+        if camera_drift.shifted_too_far(drift, disc):
+            raise ConfigError(
+                f"reference {name}: {shift} since reference {names[0]}; fasten the camera and "
+                "take all references again"
+            )
+        if change := shift or drift.light_reason:
+            warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
+    loads = [reference_load_reason(preprocessor)]
+    changed = [gate.changed_part(preprocessor.preprocess(grey)) for grey in greys]
+    if pressed := [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]:
+        others = f" and {len(pressed) - 3} more" if len(pressed) > 3 else ""
+        names = f"{', '.join(pressed[:3])}{others}"
+        loads.append(
+            f"the skin seems pressed in reference {names}, compared with the mean of all references"
+        )
+    if any(loads) and not allow_loaded:
+        advice = "take the references again without contact, or pass --allow-loaded-reference"
+        raise ConfigError(f"{next(filter(None, loads))}; {advice}")
+    warnings += filter(None, loads)
+    return tuple(warnings)
+
+
+def rezero(
+    calibration: Calibration,
+    images: Sequence[U8],
+    allow_loaded: bool = False,
+    names: Sequence[str] = (),
+) -> Calibration:
+    """Replace a calibration's reference by new images of the unloaded skin.
+
+    Raises ConfigError if an image cannot be used, the camera moved too far, or something touches
+    the skin and that is not allowed.
+    """
+    if not images:
+        raise ConfigError("found no image to take a reference from, expected at least one")
+    greys = [greyscale.to_grey(image) for image in images]
+    disc = calibration.geometry.disc
+    judges = plain_judges(calibration, unloaded=True)
+    old = camera_drift.look(calibration.reference_grey, disc, calibration.pitch_px)
+    refused = [f"rejected reference {name}: " for name in names] or [
+        "rejected the reference: "
+    ] * len(greys)
+    for grey, lead in zip(greys, refused, strict=True):
+        if reason := judges.reason(grey):
+            raise ConfigError(f"{lead}{reason}")
+        drift = camera_drift.drift(old, grey)
+        if camera_drift.shifted_too_far(drift, disc):
+            shift = camera_drift.shift_reason(drift, disc)
+            raise ConfigError(
+                f"{lead}{shift}; fasten the camera in its old position, or calibrate again"
+            )
+        if drift.contrast < _WORN_CONTRAST:
+            found = (
+                f"found {drift.contrast:.2f} times the old reference's contrast, expected at least "
+                f"{_WORN_CONTRAST}"
+            )
+            raise ConfigError(f"{lead}{found} times; clean or focus the lens, or calibrate again")
+    renewed = with_reference(replace(calibration, crc32=0), greys)
+    if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
+        raise ConfigError(f"rejected the reference: {load}")
+    return renewed
+
+
+# Side of a block: its mean reduces noise to an eighth, but hardly reduces a shift of the pattern.
+BLOCK_PX = 8
+# Something moves if the change exceeds that of the resting skin by this factor and these grey
+# levels: 0.05 mm of a ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors,
+# 640x480, 20 frames).
+_REST_FACTOR, _REST_GREY = 1.3, 0.5
+REST_MOST_GREY = 8.0
+"""Grey levels above the `motion_grey` of any usable camera at rest."""
+
+
+def block_means(grey: U8) -> F32:
+    """Means over blocks of a grey image of at least 8 x 8: (H // 8, W // 8)."""
+    return squares(grey, BLOCK_PX)[0]
+
+
+def motion_grey(blocks: Sequence[F32]) -> float:
+    """Change over time of the block that changed most, less the change shared by all,
+    over `block_means` of images.
+    """
+    change = np.stack(blocks) - blocks[0]
+    change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
+    return float((change.max(axis=0) - change.min(axis=0)).max())
+
+
+def stands_still(motion: float, rest: float) -> bool:
+    """Whether a `motion_grey` is that of a still image,
+    given that of the untouched skin over as many images.
+    """
+    return motion <= _REST_FACTOR * rest + _REST_GREY
+
+
+# An area as large as the gate requires may differ by this much from the origin, less the common
+# change: more than an aged lamp causes, less than a lost marker, and far below the gate's least 10,
+# so nothing that was followed looks like a contact when it goes. Beyond the common change, frames
+# are degraded against the original reference.
+PATCH_GREY, COMMON_GREY = 4.0, DRIFT_LEVELS
+# A smaller change is not worth a new calibration number (grey levels,
+# and multiples of the noise of g).
+RENEW_GREY, RENEW_NOISE = 2.0, 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """The difference between two references: drift, the change of g that all skin shares, the
+    greatest beside it on a patch.
+    """
+
+    drift: Drift
+    common_grey: float
+    patch_grey: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """The renewed reference (None: the present one stays), the images' distance from the origin
+    (None: one cannot be compared), and the bound exceeded or why an image is invalid.
+    """
+
+    calibration: Calibration | None
+    distance: Distance | None
+    reason: Reason | None
+
+
+def bounds(disc: Disc) -> dict[str, float]:
+    """The bounds on each quantity of `Distance`, for messages."""
+    return {
+        "shift_px": round(camera_drift.SHIFT_PART * disc.radius_px, 3),
+        "moved_px": round(camera_drift.RIM_PART * disc.radius_px, 3),
+        "light_low": picture.COMPENSATED_LOW,
+        "light_high": picture.COMPENSATED_HIGH,
+        "uneven": picture.UNEVEN,
+        "contrast": picture.CONTRAST,
+        "common_grey": COMMON_GREY,
+        "patch_grey": PATCH_GREY,
+    }
+
+
+def follow(origin: Calibration, current: Calibration, images: Sequence[U8]) -> Followed:
+    """Renew the current reference from untouched images (at least one) within the bounds around the
+    origin's. Ageing light changes the image smoothly and hardly affects g; an object that rests on
+    the skin, a lost marker or dirt change a patch. The bounds limit the whole change since the
+    origin, so that nothing creeps in.
+    """
+    greys = [greyscale.to_grey(image) for image in images]
+    judges = plain_judges(origin, unloaded=True)
+    for grey in greys:
+        if reason := judges.reason(grey):
+            return Followed(None, None, reason)
+    # Keep the noise: a sensor that trembles must not raise its own gate.
+    renewed = replace(with_reference(replace(origin, crc32=0), greys), noise_grey=origin.noise_grey)
+    prepared = Preprocessor(renewed, PROFILE)
+    disc = origin.geometry.disc
+    drift = camera_drift.drift(
+        camera_drift.look(origin.reference_grey, disc, origin.pitch_px), renewed.reference_grey
+    )
+    distance = Distance(drift, *g_change(Preprocessor(origin, PROFILE), prepared))
+    reason = beyond(distance, disc)
+    if reason or not _worth(Preprocessor(current, PROFILE), prepared):
+        return Followed(None, distance, reason)
+    return Followed(renewed, distance, None)
+
+
+def beyond(distance: Distance, disc: Disc) -> Reason | None:
+    """The bound that a reference exceeds; None if it exceeds none."""
+    drift = distance.drift
+    if drift.still_part == 0:
+        return Reason(
+            ReasonCode.REFERENCE_INVALID, "the marker pattern differs from the reference's"
+        )
+    if reason := camera_drift.shift_reason(drift, disc) or drift.light_reason:
+        return reason
+    if abs(distance.common_grey) > COMMON_GREY:
+        text = (
+            f"light or focus: the white ratio changed by {distance.common_grey:.0f} levels "
+            "everywhere"
+        )
+        return Reason(ReasonCode.LIGHT_DRIFT, text)
+    if distance.patch_grey > PATCH_GREY:
+        text = (
+            "a resting load, dirt or damage changed a patch of the skin by "
+            f"{distance.patch_grey:.1f} grey levels"
+        )
+        return Reason(ReasonCode.PATCH_CHANGED, text)
+    return None
+
+
+def g_change(old: Preprocessor, new: Preprocessor) -> tuple[float, float]:
+    """`Distance.common_grey` and `Distance.patch_grey` between two references of one sensor."""
+    g_d = (new.reference_g - old.reference_g)[old.voting].astype(np.float64)
+    if not g_d.size:
+        return 0.0, 0.0
+    common = float(np.median(g_d))
+    beside = np.sort(g_d - common)
+    cells = min(math.ceil(GATE_MM2 / old.cell_mm2), beside.size)
+    return common, max(float(beside[-cells]), -float(beside[cells - 1]), 0.0)
+
+
+def _worth(current: Preprocessor, renewed: Preprocessor) -> bool:
+    """Whether two references differ enough to renew."""
+    common, patch = g_change(current, renewed)
+    if abs(common) + patch > max(RENEW_GREY, RENEW_NOISE * current.calibration.noise_grey):
+        return True
+    old, new = (eighth(p.calibration.reference_grey).astype(np.int16) for p in (current, renewed))
+    return bool(np.abs(new - old).sum() > RENEW_GREY * old.size)

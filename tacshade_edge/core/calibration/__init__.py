@@ -1,1 +1,0 @@
-"""Make a calibration from references and presses, and grade it."""

@@ -1,1 +1,0 @@
-"""Stitch many presses into one map of a surface."""

@@ -1,1 +1,0 @@
-"""Cameras as frame sources: V4L2, rpicam and simulated."""

@@ -1,1 +1,0 @@
-"""MQTT clients of the broker."""

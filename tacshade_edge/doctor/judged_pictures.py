@@ -1,0 +1,93 @@
+"""Shows which judge lets a picture pass or refuses it, with each figure and its limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.files.images import read_image
+from tacshade_edge.reasons import Reason, reason_fields
+from tacshade_edge.sensor.frame_check import Measured, first_reason, size_reason
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.types import Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A picture, what the judges measured of it until one refused, and that one's reason."""
+
+    path: Path
+    measured: tuple[Measured, ...] = ()
+    reason: Reason | None = None
+
+    @property
+    def judge(self) -> str:
+        """The name of the judge that refuses; empty if none does."""
+        refusing = next((each.judge for each in self.measured if each.refuses), "picture")
+        return refusing if self.reason else ""
+
+    def as_dict(self) -> dict[str, object]:
+        """The picture's record for programs; no limit is null."""
+        names = ("judge", "what", "found", "least", "most")
+        figures = [{name: _finite(getattr(each, name)) for name in names} for each in self.measured]
+        return {
+            "image": str(self.path),
+            "judge": self.judge or None,
+            **reason_fields(self.reason),
+            "figures": figures,
+        }
+
+
+def judge_pictures(
+    calibration: Calibration, profile: str, paths: Sequence[Path]
+) -> Iterator[Judged]:
+    """Judge each picture as the profile would; the picture's own judge refuses one
+    that cannot be read.
+    """
+    reconstructor = make_reconstructor(calibration, PROFILES[profile])
+    for path in paths:
+        try:
+            image = read_image(path)
+        except DecodeError as error:
+            yield Judged(path, reason=error.reason)
+            continue
+        if reason := size_reason(image, (calibration.image_height_px, calibration.image_width_px)):
+            yield Judged(path, reason=reason)
+            continue
+        measured = reconstructor.measured(image)
+        yield Judged(path, measured, first_reason(measured))
+
+
+def figures(judged: Sequence[Judged]) -> list[str]:
+    """A line for each figure: its judge, the range over all pictures, its limits,
+    and how many pictures they refuse.
+    """
+    by_figure: dict[tuple[str, str], list[Measured]] = {}
+    for each in (measured for one in judged for measured in one.measured):
+        by_figure.setdefault((each.judge, each.what), []).append(each)
+    lines = [
+        f"{'judge':<8} {'figure':<37} {'found':<18} {'limits':<18} {'pictures':>8} {'refused':>8}"
+    ]
+    for (judge, what), some in by_figure.items():
+        found, limits = [each.found for each in some], (some[0].least, some[0].most)
+        between = f"{min(found):.3g} to {max(found):.3g}"
+        refused = sum(each.refuses for each in some)
+        lines.append(
+            f"{judge:<8} {what:<37} {between:<18} {limits_of(*limits):<18} {len(some):>8} "
+            f"{refused:>8}"
+        )
+    return lines
+
+
+def limits_of(least: float, most: float) -> str:
+    if math.isinf(most):
+        return f"at least {least:.3g}"
+    return f"at most {most:.3g}" if least <= 0 else f"{least:.3g} to {most:.3g}"
+
+
+def _finite(value: str | float) -> str | float | None:
+    return value if isinstance(value, str) or math.isfinite(value) else None

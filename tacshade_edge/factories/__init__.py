@@ -1,1 +1,0 @@
-"""Builds what the settings name: sources, ports, links, calibrations."""

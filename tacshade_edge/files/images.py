@@ -1,0 +1,68 @@
+"""Reads and writes image files; refuses incomplete ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.files.image_bytes import decode_image
+from tacshade_edge.quoting import shown
+from tacshade_edge.regular_files import read_regular
+from tacshade_edge.types import U8
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"})
+BYTES_MAX = 64 << 20
+_PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 3)
+
+
+def read_image(path: Path) -> U8:
+    """Read one image of at most 64 MiB as stored, uint8 (H, W) grey or (H, W, 3) BGR: ignoring EXIF
+    orientation, without an alpha channel, 16 bits reduced to 8.
+
+    Raises DecodeError.
+    """
+    try:
+        data = read_regular(path, BYTES_MAX)
+    except OSError as error:
+        raise DecodeError(f"{shown(path)}: {error.strerror or error}, expected an image") from None
+    try:
+        return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except DecodeError as error:
+        raise DecodeError(f"{shown(path)}: {error}") from None
+
+
+def images_in(given: Iterable[Path]) -> list[Path]:
+    """The given images, and for a folder those in it, by name.
+
+    Raises ConfigError for a folder without any.
+    """
+    images: list[Path] = []
+    for path in given:
+        if path.is_dir():
+            found = sorted(
+                each
+                for each in path.iterdir()
+                if each.suffix.lower() in SUFFIXES and each.is_file()
+            )
+            if not found:
+                expected = f"expected at least one file of {', '.join(sorted(SUFFIXES))}"
+                raise ConfigError(f"{shown(path)}: found no image, {expected}")
+            images += found
+        else:
+            images.append(path)
+    return images
+
+
+def png(image: U8) -> bytes:
+    """Encode an image as a PNG file, lossless and fast."""
+    return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())
+
+
+def number_in(name: str, prefix: str) -> int:
+    """The number in ``PREFIX_NUMBER.png``; 0 in any other name."""
+    found = re.fullmatch(rf"{prefix}_(\d{{1,18}})\.png", name, re.ASCII)
+    return int(found[1]) if found else 0

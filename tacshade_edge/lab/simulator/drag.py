@@ -1,0 +1,378 @@
+"""Drag the skin along itself: a tangential contact problem on the skin's grid.
+
+The tangential displacement w of the membrane of `skin` minimises ∫ λt²|∇w|² + w² with a traction
+q = kt (w - λt²∇²w) where objects touch. There the skin sticks as far as Coulomb's law |q| <= μ p
+allows, with the pressure p = kn (h - λ²∇²h), and slides elsewhere: friction at a given pressure
+(Johnson, Contact Mechanics, 1985, ch. 7). For λt = λ, the traction is the difference of two such
+pressures (Ciavarella 1998; Jäger 1998).
+
+The dome also leans like a short beam (`leant_mm`); skin and dome are springs in series. Full of
+gel, it keeps its volume and bulges around objects (`bulged_mm`). The problem is static: a contact
+that slid sticks again at once when the object turns back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from tacshade_edge.lab.simulator.press import Press, distances_mm
+from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG, SensorModel
+from tacshade_edge.lab.simulator.skin import (
+    Skin,
+    Solver,
+    at_height,
+    direction_to_chart,
+    finer,
+    mass_weight,
+    net_pull,
+    node_directions,
+    obstacle_of,
+    press_skin,
+    rest_x_y_mm,
+    slid,
+    solve,
+    undeformed,
+)
+from tacshade_edge.types import F32, F64, I64
+
+_EVERY = 2  # step of this grid in nodes of the skin's grid: w is smooth
+_TOUCHING_MM = 1e-3
+_STUCK_MM = 0.02
+_STEEPEST = 0.75  # limit of w over λt, and of any change of the origin: skin that would fold slides
+_SWAY_TOLERANCE_MM = 0.05
+
+Shape = Callable[[F32 | None], Skin]
+"""A function from `Skin.leaning_mm` to the skin shaped by the presses, as in `skin.press_skin`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """The nodes (N,) of a grid in contact, each with the index of its press: w (N, 2) if it sticks,
+    in mm of the chart; chart coordinates (N, 2) of the undeformed skin at the x and y where the
+    object touched it, before the drag; p / kn.
+    """
+
+    rows: I64
+    cols: I64
+    owner: I64
+    held_mm: F64
+    touched_mm: F64
+    pressure_mm: F64
+
+
+@dataclass(frozen=True, slots=True)
+class DragMechanics:
+    """How a skin yields along itself.
+
+    `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a
+    sway (2,) in mm at the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts,
+    the grid's mass weights (`skin.mass_weight`), its step and the model.
+    """
+
+    lean: Callable[[F64, F64], F64]
+    carry: Callable[[Contacts, F32, float, SensorModel], F32]
+
+
+def drag_skin(
+    shape: Shape,
+    model: SensorModel,
+    presses: Sequence[Press],
+    mechanics: DragMechanics | None = None,
+    rest: Skin | None = None,
+) -> Skin:
+    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem.
+
+    `rest`, the unloaded skin after creep, adds its lean and tangential displacement.
+    """
+    mechanics = mechanics or MEMBRANE
+    if not presses or not (model.bulge or any(press.is_dragged for press in presses)):
+        skin = shape(None if rest is None else rest.leaning_mm)
+        return skin if rest is None else replace(skin, origin_mm=rest.origin_mm)
+    sway_mm = model.sway * np.mean(
+        [(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0
+    )
+    skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
+    loaded_mm = carried_mm * (model.sway / (1 - model.sway))
+    if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
+        skin, _ = _swaying(shape, model, presses, mechanics, rest, loaded_mm)
+    return skin
+
+
+def leant_mm(direction: F64, sway_mm: F64) -> F64:
+    """Displacement (..., 3) of the leaning dome's skin at unit vectors (..., 3), for a sway (2,) at
+    the apex: the dome shears from the rim up and turns by half as much, like a beam that is as long
+    as it is wide.
+    """
+    low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
+    up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
+    turn = (
+        np.minimum(up / 0.1, 1) * (direction[..., :2] @ sway_mm) * (0.5 / (1 - low))
+    )  # nothing moves at the rim
+    return np.concatenate((up[..., None] * sway_mm, -turn[..., None]), axis=-1)
+
+
+def swayed_mm(points_mm: F64, sway_mm: F64, size_mm: float) -> F64:
+    """Displacement (..., 3) of a pad's skin at points (..., 3), for a sway (2,) in the middle: it
+    shears along itself, and is held at its rim.
+    """
+    rim_mm = 2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2))
+    part = np.maximum(1 - np.sum(points_mm[..., :2] ** 2, axis=-1) / rim_mm**2, 0)
+    along = part[..., None] * sway_mm
+    return np.concatenate((along, np.zeros((*part.shape, 1))), axis=-1)
+
+
+def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
+    """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3),
+    by `volume_mm3` in total.
+    """
+    rim = math.radians(RIM_HALF_ANGLE_DEG)
+    angle = np.minimum(np.arccos(np.clip(direction[..., 2], -1, 1)) / rim, 1)
+    inner = np.linspace(0, rim, 200)
+    area_mm2 = (
+        2
+        * math.pi
+        * radius_mm**2
+        * float(np.mean(np.sin(math.pi * inner / rim) ** 2 * np.sin(inner)))
+        * rim
+    )
+    return np.asarray((volume_mm3 / area_mm2 * np.sin(math.pi * angle) ** 2)[..., None] * direction)
+
+
+def _displaced_mm3(radius_mm: float, presses: Sequence[Press]) -> float:
+    """Volume of the objects inside the undeformed skin, as seen from O; to first order in h."""
+    obstacle = obstacle_of(radius_mm, presses)
+    step_mm = undeformed(radius_mm).step_mm
+    weight = mass_weight(
+        radius_mm, step_mm, len(obstacle) // 2
+    )  # inside the rim, equal to the area's weight
+    return float(np.sum(obstacle * np.minimum(weight, 1))) * step_mm**2
+
+
+def _swaying(
+    shape: Shape,
+    model: SensorModel,
+    presses: Sequence[Press],
+    mechanics: DragMechanics,
+    rest: Skin | None,
+    sway_mm: F64,
+) -> tuple[Skin, F64]:
+    """The skin of a dome that leans by `sway_mm`, and the mean further displacement
+    by the contacts, (2,) mm.
+    """
+    radius_mm, size_mm = model.form_mm
+    direction = node_directions(radius_mm, size_mm).astype(np.float64)
+    if math.isinf(radius_mm):
+        moved, leaning = swayed_mm(direction, sway_mm, size_mm), None
+    else:
+        moved = mechanics.lean(direction, sway_mm)
+        if model.bulge:
+            displaced = model.bulge * _displaced_mm3(radius_mm, presses)
+            moved += bulged_mm(direction, displaced, radius_mm)
+        leaning = -np.sum(moved * direction, axis=-1) if moved.any() else None
+        leaning = None if leaning is None else np.asarray(leaning, np.float32)
+    if rest is not None and rest.leaning_mm is not None:
+        leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
+    skin = shape(leaning)
+    node, before = (
+        np.stack(direction_to_chart(at, radius_mm), axis=-1)
+        for at in (direction, at_height(direction, np.zeros(1), radius_mm) - moved)
+    )
+    if rest is not None and rest.origin_mm is not None:
+        before += rest.origin_mm
+    contacts = _contacts(skin, direction, node - before, model, presses)
+    weight = mass_weight(radius_mm, skin.step_mm, len(node) // 2)[::_EVERY, ::_EVERY]
+    carried = mechanics.carry(contacts, weight, skin.step_mm * _EVERY, model)
+    moved_mm = contacts.held_mm + (node - before)[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
+    at_contacts = carried[:, contacts.rows, contacts.cols].T
+    ahead = contacts.held_mm - at_contacts
+    sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
+    surplus = np.where(
+        sticks,
+        0.0,
+        np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9),
+    )
+    owners = [contacts.owner == k for k in range(len(presses))]
+    origin = np.asarray(
+        before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32
+    )
+    part = _unfolded_part(origin, skin.step_mm)
+    ahead -= (1 - part) * origin[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
+    touched, now = (
+        rest_x_y_mm(at, radius_mm) for at in (contacts.touched_mm, contacts.touched_mm + ahead)
+    )
+    dragged = replace(
+        skin,
+        origin_mm=origin * np.float32(part),
+        stuck=tuple(float(sticks[mine].mean()) if mine.any() else 1.0 for mine in owners),
+        slid_mm=tuple(_mean(now[mine] - touched[mine]) for mine in owners),
+        surplus=tuple(
+            float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0 for mine in owners
+        ),
+    )
+    return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
+
+
+def _mean(vectors: F64) -> tuple[float, float]:
+    x, y = vectors.mean(axis=0) if len(vectors) else (0.0, 0.0)
+    return float(x), float(y)
+
+
+def contact_nodes(
+    skin: Skin, direction: F64, presses: Sequence[Press]
+) -> tuple[I64, I64, I64, F64]:
+    """Every other node in contact: its row and column on that coarse grid, its press,
+    and its point (N, 3) in mm.
+    """
+    every = slice(None, None, _EVERY)
+    pressed, obstacle = skin.pressed_mm, skin.obstacle_mm
+    rows, cols = np.nonzero(((obstacle > 0) & (pressed <= obstacle + _TOUCHING_MM))[every, every])
+    points = at_height(direction, skin.height_mm, skin.radius_mm)[every, every][rows, cols]
+    if not len(points):
+        return rows, cols, np.zeros(0, np.int64), points
+    return rows, cols, np.argmin(distances_mm(presses, skin.radius_mm, points), axis=0), points
+
+
+def _contacts(
+    skin: Skin, direction: F64, leant: F64, model: SensorModel, presses: Sequence[Press]
+) -> Contacts:
+    every = slice(None, None, _EVERY)
+    rows, cols, owner, points = contact_nodes(skin, direction, presses)
+    if not len(points):
+        return Contacts(rows, cols, owner, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    before = points[:, :2].copy()
+    for k, press in enumerate(presses):
+        before[owner == k] = press.before_drag(points[owner == k, :2])
+    # Skin that moves along -z with an object keeps its x and y,
+    # which therefore locate it on the undeformed skin.
+    touched = _chart_over(before, skin.radius_mm)
+    held = _chart_over(points[:, :2], skin.radius_mm) - touched
+    held -= leant[every, every][rows, cols]
+    pressure_mm = np.maximum(net_pull(skin, model.skin_decay_mm), 0) * np.float32(
+        (model.skin_decay_mm / skin.step_mm) ** 2
+    )
+    # Edges press along lines; smoothing shares their pressure among the coarse grid's nodes.
+    pressure_mm = cv2.sepFilter2D(
+        pressure_mm, -1, np.array((0.25, 0.5, 0.25)), np.array((0.25, 0.5, 0.25))
+    )
+    return Contacts(rows, cols, owner, held, touched, pressure_mm[every, every][rows, cols])
+
+
+def carry(
+    contacts: Contacts,
+    weight: F32,
+    step_mm: float,
+    model: SensorModel,
+    solver: Callable[[F32, F32, F32], F32] = slid,
+) -> F32:
+    """`Mechanics.carry` of the membrane: `slid` under Coulomb's law."""
+    steepest = (
+        _STEEPEST * model.drag_decay_mm / np.maximum(np.linalg.norm(contacts.held_mm, axis=1), 1e-9)
+    )
+    nodes = (step_mm / model.drag_decay_mm) ** 2
+    held, limit = np.zeros((2, *weight.shape), np.float32), np.zeros(weight.shape, np.float32)
+    held[:, contacts.rows, contacts.cols] = (contacts.held_mm * np.minimum(steepest, 1)[:, None]).T
+    limit[contacts.rows, contacts.cols] = contacts.pressure_mm * (model.coulomb * nodes)
+    return solver(held, limit, weight * np.float32(nodes))
+
+
+MEMBRANE = DragMechanics(leant_mm, carry)
+
+
+def _unfolded_part(origin_mm: F32, step_mm: float) -> float:
+    """The factor on displacements that keeps the skin from folding over itself, as between contacts
+    that meet; continuous, so that a long drag does not jump.
+    """
+    (xx, yx), (xy, yy) = (
+        [np.gradient(origin_mm[..., k], step_mm, axis=axis) for k in (0, 1)] for axis in (1, 0)
+    )
+    # The area of a node's cell is 1 + part * trace + part² * determinant,
+    # and must be 1 - _STEEPEST at least.
+    trace, determinant = xx + yy, xx * yy - xy * yx
+    under = trace * trace - 4 * _STEEPEST * determinant
+    steepest = float((np.sqrt(np.maximum(under, 0)) - trace)[under >= 0].max(initial=0))
+    return min(1.0, 2 * _STEEPEST / max(steepest, 1e-9))
+
+
+def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
+    """Chart coordinates (N, 2) of the undeformed skin at x and y;
+    beyond the skin, those of its equator.
+    """
+    if math.isinf(radius_mm):
+        return x_y_mm
+    rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
+    on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, 1e-9))
+    z = np.sqrt(radius_mm**2 - np.sum(on * on, axis=1))
+    return np.stack(direction_to_chart(np.column_stack((on, z)), radius_mm), axis=-1)
+
+
+_RIM = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
+
+
+def two_scale_skin(
+    model: SensorModel,
+    presses: Sequence[Press],
+    leaning_mm: F32 | None = None,
+    solver: Solver = solve,
+) -> Skin:
+    """Mix two skins into a stiff surface over a soft depth, whose skirt is not exponential."""
+    near, far = (
+        press_skin(
+            model.skin_radius_mm, part * model.skin_decay_mm, presses, leaning_mm, solver=solver
+        )
+        for part in (0.5, 1.8)
+    )
+    mixed = np.asarray(0.55 * near.height_mm + 0.45 * far.height_mm, np.float32)
+    return replace(near, height_mm=mixed)
+
+
+def turned_mm(direction: F64, sway_mm: F64) -> F64:
+    """`Mechanics.lean` of a stiff tip on a soft base:
+    the tip turns rigidly about O's height, above a soft ring.
+    """
+    angle = np.clip((direction[..., 2] - _RIM) / (0.3 * (1 - _RIM)), 0, 1)
+    along = direction[..., 2:] * sway_mm
+    return np.asarray(
+        angle[..., None]
+        * np.concatenate((along, -(direction[..., :2] @ sway_mm)[..., None]), axis=-1)
+    )
+
+
+def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -> F32:
+    """`Mechanics.carry` of a contact that sticks or slides as a whole, and drags its surroundings
+    with two decays: skin outside follows the contact's nearest point; the far decay is not
+    exponential.
+    """
+    carried = np.zeros((2, *weight.shape), np.float32)
+    for owner in np.unique(contacts.owner):
+        mine = contacts.owner == owner
+        held, mean_mm = contacts.held_mm[mine], float(contacts.pressure_mm[mine].mean())
+        most = min(model.coulomb * mean_mm, 0.6 * model.drag_decay_mm) / max(
+            float(np.linalg.norm(held, axis=1).mean()), 1e-9
+        )
+        beside = np.ones(weight.shape, np.uint8)
+        beside[contacts.rows[mine], contacts.cols[mine]] = 0
+        distance, label = cv2.distanceTransformWithLabels(
+            beside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        of_label = np.zeros((label.max() + 1, 2))
+        of_label[label[contacts.rows[mine], contacts.cols[mine]]] = held * min(most, 1)
+        decays = distance * (step_mm / model.drag_decay_mm)
+        part = 0.5 * np.exp(-2 * decays) + 0.5 / (1 + decays * decays)
+        spread = cv2.blur(of_label[label], (5, 5)) * part[..., None]
+        carried += np.asarray(np.moveaxis(spread, 2, 0), np.float32)
+    beyond = weight**-0.5 - 1  # tan² of half the angle from the apex
+    rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
+    return np.asarray(
+        carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32
+    )
+
+
+TURNING = DragMechanics(turned_mm, carry_far)
+"""How objects drag the other model's skin, in which every point is an independent spring,
+q = kt w.
+"""

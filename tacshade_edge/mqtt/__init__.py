@@ -1,0 +1,7 @@
+"""Talks to the broker: connects, publishes a sensor's results and health, takes requests.
+
+In: frames' results, payloads. Out: messages and requests.
+Threads: paho's.
+Other rooms use: `caller`, `client`, `client_id_guard`, `follower`, `link`, `links`, `outgoing`,
+    `publishing`.
+"""

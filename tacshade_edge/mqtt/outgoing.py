@@ -1,0 +1,437 @@
+"""Publishing to the broker: it never blocks its caller,
+and its memory is bounded whatever the peer does.
+
+paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest,
+and at most two that paho holds and has not yet written.
+
+Threads: the callers' and paho's network thread. Whatever changes the state is a call in one queue,
+which one thread at a time executes, so they need no lock. No thread waits for another's turn: paho
+calls back while it holds its own locks.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple
+
+from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+
+from tacshade_edge.fixes import MESSAGE_SIZE_FIX, with_fix
+from tacshade_edge.mqtt.client import (
+    PACKET_TOO_LARGE,
+    BrokerSession,
+    packet_bytes,
+    publish_properties,
+)
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.wire.requests import Request
+from tacshade_edge.wire.topics import OF_SENSORS
+
+_log = logging.getLogger(__name__)
+
+PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
+
+PROBE_PERIOD_NS: Final = 1_000_000_000
+"""Period in ns at which a message of a stream probes for subscribers, so a new one is noticed
+within it. Whole periods of the clock, so that the streams of a frame probe together: a frame that
+only probes is reconstructed for nobody.
+"""
+_UNSENT_PER_STREAM: Final = 2
+_ANSWERS_OPEN_MAX: Final = 16
+_STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
+_NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
+_JSON: Final = "application/json"
+CONTENT_TYPES: Final = {name: topic.content_type for name, topic in OF_SENSORS.items()}
+_COUNTERS: Final = (
+    "connects",
+    "losses",
+    "published",
+    "superseded",
+    "failed",
+    "refused",
+    "requests",
+    "bad_requests",
+    "replies",
+    "replies_dropped",
+    "events",
+    "events_dropped",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Item:
+    payload: bytes
+    seq: int
+
+
+@dataclass(slots=True, eq=False)
+class _Slot:
+    """The payloads of one topic that wait or that paho holds: the latest wins."""
+
+    topic: str
+    qos: int
+    retain: bool  # the newest value is sent again on every connection, and has no outcome
+    most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
+    properties: Properties
+    waiting: _Item | None = None
+    handed: list[_Item] = field(default_factory=list)
+    newest: _Item | None = None
+    # Answers of this connection's broker:
+    probed_ns: int | None = None
+    no_listener: bool = False
+    refused: bool | None = None
+
+    def probe_due(self, now_ns: int) -> bool:
+        return (
+            self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
+        )
+
+    def next_qos(self, now_ns: int) -> int:
+        """Return the QoS of the message being sent: 1 for a probe.
+
+        Until its answer comes, the previous one holds.
+        """
+        if self.retain or not self.probe_due(now_ns):
+            return self.qos
+        self.probed_ns = now_ns
+        return 1
+
+    def disconnected(self) -> list[_Item]:
+        """Take back what paho held: the newest waits again unless a newer one does;
+        return the others, which failed.
+        """
+        lost, self.handed = self.handed, []
+        self.probed_ns, self.no_listener, self.refused = None, False, None
+        if self.retain:
+            self.waiting = self.newest
+            return []
+        if self.waiting is None and lost:
+            self.waiting = lost.pop()
+        return lost
+
+
+class _Sent(NamedTuple):
+    """A message that paho holds: its slot and item, or None for a reply or an event."""
+
+    slot: _Slot | None
+    item: _Item | None
+    qos: int
+    size: int
+
+
+class Outgoing:
+    """The payloads on their way to one broker.
+
+    `where`: name of the broker in the log. `on_outcome`: receives (stream, seq, outcome) once per
+    offered payload, in the thread whose turn it is.
+    """
+
+    def __init__(
+        self,
+        client: BrokerSession,
+        where: str,
+        base_topic: str,
+        on_outcome: Callable[[str, int, PayloadOutcome], None],
+    ) -> None:
+        self._client, self._where, self._base, self._on_outcome = (
+            client,
+            where,
+            base_topic,
+            on_outcome,
+        )
+        self._calls: deque[Callable[[], None]] = deque()
+        self._turn = threading.Lock()
+        self._away = threading.Event()
+        self._away.set()
+        self._state_sent = threading.Event()  # the newest one, or the connection was lost
+        self._stopping = False
+        self._slots: dict[str, _Slot] = {}
+        self._by_mid: dict[int, _Sent] = {}
+        self._denied: set[str] = set()
+        # The largest packet that the broker accepts and how that showed,
+        # and the largest that it has acknowledged.
+        self._bytes_max: int | None = None
+        self._bytes_max_why = ""
+        self._bytes_proven = 0
+        self._too_large: Reason | None = None
+        self._counters = Counter(dict.fromkeys(_COUNTERS, 0))
+        client.answered(lambda mid, code: self._post(lambda: self._answered(mid, code)))
+
+    @property
+    def connected(self) -> bool:
+        """Whether the broker has accepted us."""
+        return not self._away.is_set()
+
+    @property
+    def limited(self) -> Reason | None:
+        """Why the broker gets no large messages; None while no message
+        of this connection has exceeded its limit.
+        """
+        return self._too_large
+
+    def counters(self) -> dict[str, int]:
+        """Return the counts since the start, always of all names.
+
+        `refused`: the broker denied it or its size.
+        """
+        return {
+            **self._counters,
+            "bad_requests": self._counters["bad_requests"] + self._client.refused,
+        }
+
+    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
+        """Publish a retained value, now and again on every connection; the newest wins.
+
+        The topic is relative to the base topic; with a leading slash it starts at the broker's
+        root.
+        """
+
+        def put() -> None:
+            slot = self._slot(topic, qos, True)
+            slot.waiting = slot.newest = _Item(payload, 0)
+            self._pump(slot)
+
+        self._post(put)
+
+    def has_listener(self, stream: str) -> bool:
+        """Whether a stream may have a subscriber: False
+        while the broker's latest answer reported none.
+
+        Even then it is True once a second, so that the next payload probes again. It is always True
+        while the broker is away, or if it never reports this (MQTT 5 leaves that to the broker).
+        """
+        slot = self._slots.get(stream)
+        return slot is None or not slot.no_listener or slot.probe_due(time.monotonic_ns())
+
+    def offer(self, stream: str, payload: bytes, seq: int) -> None:
+        """Send a payload of a stream (not retained) once the peer accepts it,
+        unless a newer one comes first.
+
+        QoS is 0, except for one probe a second with QoS 1, whose answer shows whether anyone
+        listens (`has_listener`).
+
+        Its one outcome: ``published`` (handed to the operating system), ``superseded`` (a newer one
+        displaced it), ``refused`` (the broker denied it or, with QoS 0, the last one it answered;
+        or it is too large), or ``failed`` (displaced or lost while the broker was away; before the
+        first connection, ``superseded``). The newest payload is kept while the broker is away and
+        is sent first afterwards, so that subscribers do not keep outdated data.
+        """
+
+        def put() -> None:
+            slot, item = self._slot(stream, 0, False), _Item(payload, seq)
+            displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
+            if displaced is not None:
+                self._settle(
+                    "superseded" if self.connected and not self._stopping else "failed",
+                    slot,
+                    displaced,
+                )
+            self._pump(slot)
+
+        self._post(put)
+
+    def reply(self, request: Request, payload: bytes) -> None:
+        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic.
+
+        Lost with the connection.
+        """
+        self._send_once(
+            "replies", request.response_topic or f"res/{request.verb}", payload, request.correlation
+        )
+
+    def publish_event(self, topic: str, payload: bytes) -> None:
+        """Publish an event once, under the base topic (QoS 1, not retained).
+
+        Lost with the connection, and counted.
+        """
+        self._send_once("events", topic, payload, None)
+
+    def _post(self, call: Callable[[], None]) -> None:
+        """Execute a call after those already posted;
+        at once, unless another thread is executing them.
+        """
+        self._calls.append(call)
+        while self._calls and self._turn.acquire(blocking=False):
+            try:
+                while self._calls:
+                    self._calls.popleft()()
+            finally:
+                self._turn.release()
+
+    # -- executed in turn --------------------------------------------------------------------------
+
+    def _path(self, topic: str) -> str:
+        return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
+
+    def _slot(self, topic: str, qos: int, retain: bool) -> _Slot:
+        if topic not in self._slots:
+            content_type = CONTENT_TYPES.get(topic, _JSON)
+            properties = publish_properties(
+                content_type, expiry_s=None if retain else _STREAM_EXPIRY_S
+            )
+            self._slots[topic] = _Slot(
+                topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties
+            )
+        return self._slots[topic]
+
+    def _pump(self, slot: _Slot) -> None:
+        """Hand paho the items of a slot that it may send.
+
+        The state goes first, and the rest once the broker has answered it: otherwise frames that
+        access rules deny would count as published until the answer.
+        """
+        state = self._slots["state"]
+        while (item := slot.waiting) is not None and len(slot.handed) < slot.most:
+            if (
+                not self.connected
+                or self._stopping
+                or (slot is not state and state.refused is None)
+            ):
+                return
+            slot.waiting = None
+            size = packet_bytes(self._path(slot.topic), item.payload, slot.properties)
+            if self._exceeds(slot.topic, size):
+                self._settle("refused", slot, item)
+                continue
+            qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
+            info = self._client.publish(
+                self._path(slot.topic), item.payload, qos, slot.retain, slot.properties
+            )
+            if (
+                info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS
+            ):  # the connection is failing; the next one pumps
+                slot.waiting = item
+                return
+            slot.handed.append(item)
+            self._by_mid[info.mid] = _Sent(slot, item, qos, size)
+
+    def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
+        """Publish a reply or an event (QoS 1).
+
+        It is dropped if not connected, if too large, or if 16 are still unacknowledged.
+        """
+        properties = publish_properties(_JSON, correlation=correlation)
+        size = packet_bytes(self._path(topic), payload, properties)
+
+        def send() -> None:
+            too_large = self._exceeds(topic, size)
+            open_now = sum(sent.slot is None for sent in self._by_mid.values())
+            if too_large or not self.connected or open_now >= _ANSWERS_OPEN_MAX:
+                self._counters[f"{kind}_dropped"] += 1
+                self._counters["refused"] += too_large
+                return
+            self._counters[kind] += 1
+            info = self._client.publish(self._path(topic), payload, 1, False, properties)
+            if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
+                self._by_mid[info.mid] = _Sent(None, None, 1, size)
+
+        self._post(send)
+
+    def _answered(self, mid: int, code: MqttCode) -> None:
+        """Record that paho sent a message (QoS 0) or the broker answered it (QoS 1)."""
+        if mid not in self._by_mid:
+            return  # of an earlier connection
+        slot, item, qos, size = self._by_mid.pop(mid)
+        if slot is None or item is None:
+            self._note("res or event", size, code)
+            self._counters["refused"] += code.is_failure
+            return
+        slot.handed.remove(item)
+        too_large = code.value == PACKET_TOO_LARGE
+        if qos == 1:
+            self._note(slot.topic, size, code)
+            if too_large:  # which says nothing about the topic
+                slot.refused = bool(slot.refused)
+            else:
+                slot.no_listener, slot.refused = code.value == _NO_LISTENER, code.is_failure
+        state = self._slots["state"]
+        # QoS 0 has no answer: rules that deny the state, or this stream's latest probe,
+        # deny this item too.
+        denied = (
+            code.is_failure
+            if slot.retain
+            else state.refused
+            if slot.refused is None
+            else slot.refused
+        )
+        self._settle("refused" if too_large or denied else "published", slot, item)
+        if slot is state:
+            for other in sorted(self._slots.values(), key=lambda o: (o is state, not o.retain)):
+                self._pump(other)
+        self._pump(slot)
+        if not state.handed:
+            self._state_sent.set()
+
+    def _note(self, topic: str, size: int, code: MqttCode) -> None:
+        """Record whether the broker accepts a message, and so its size and its topic."""
+        path = self._path(topic)
+        if code.value == PACKET_TOO_LARGE:
+            self._bytes_max = size - 1
+            self._bytes_max_why = f"rejects a message of {size} bytes as too large"
+            self._exceeds(topic, size)
+            return
+        self._bytes_proven = max(self._bytes_proven, size)
+        if code.is_failure:
+            if not self._denied:
+                which = path if topic.startswith("/") else f"{self._base}/#"
+                expected = f"expected access rules (ACL) that allow this user to publish to {which}"
+                more = "further rejections are not logged"
+                _log.warning("%s: rejects %s: %s, %s; %s", self._where, path, code, expected, more)
+            self._denied.add(path)
+        elif path in self._denied:
+            self._denied.remove(path)
+            if not self._denied:
+                _log.info("%s: no longer rejects any topic", self._where)
+
+    def _exceeds(self, topic: str, size: int) -> bool:
+        """Whether a message is larger than the broker accepts; log the first of a connection."""
+        if self._bytes_max is None or size <= self._bytes_max:
+            return False
+        if self._too_large is None:
+            skipped = (
+                f"so this client skips {self._path(topic)} of {size} bytes, "
+                "and other large messages"
+            )
+            text = f"{self._where}: {self._bytes_max_why}, {skipped}"
+            self._too_large = Reason(ReasonCode.MESSAGE_SIZE_LIMIT, text)
+            _log.warning("%s", with_fix(self._too_large, MESSAGE_SIZE_FIX))
+        return True
+
+    def _settle(self, outcome: PayloadOutcome, slot: _Slot, item: _Item) -> None:
+        """Report the outcome of an item; of retained ones only refusals are counted."""
+        if slot.retain:
+            self._counters["refused"] += outcome == "refused"
+            return
+        if outcome == "failed" and not self._counters["connects"]:
+            outcome = "superseded"  # no broker has been there yet
+        self._counters[outcome] += 1
+        self._on_outcome(slot.topic, item.seq, outcome)
+
+    def _accepted(self, bytes_max: int | None) -> None:
+        """Begin a connection to a broker that accepts packets of this size; None is any."""
+        self._counters["connects"] += 1
+        self._bytes_max, self._bytes_max_why = (
+            bytes_max,
+            f"accepts packets of at most {bytes_max} bytes",
+        )
+        self._bytes_proven, self._too_large = 0, None
+        self._away.clear()
+        self._pump(self._slots["state"])
+
+    def _lost(self) -> None:
+        """Forget the connection, if there is one."""
+        if self.connected:
+            self._counters["losses"] += not self._stopping
+            self._by_mid.clear()
+            for slot in self._slots.values():
+                for item in slot.disconnected():
+                    self._settle("failed", slot, item)
+            self._away.set()
+            self._state_sent.set()

@@ -1,0 +1,391 @@
+"""What is published, and when: a frame's results, ``health``, ``preview``,
+and the announcement in Home Assistant.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import cv2
+import msgspec
+import numpy as np
+
+from tacshade_edge.mqtt.link import MqttLink
+from tacshade_edge.pipeline.ledger import Counts, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
+from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.settings import Settings
+from tacshade_edge.types import Frame, Need, Reconstruction, Slip
+from tacshade_edge.version import installed_version
+from tacshade_edge.wire import binary, messages
+from tacshade_edge.wire.codec import encode_json
+from tacshade_edge.wire.messages import encode_status
+from tacshade_edge.wire.topics import ContactEvent, decode_status
+
+_ENTITIES: Final = {
+    "depth": "sensor",
+    "contact": "binary_sensor",
+    "touches": "event",
+    "state": "sensor",
+    "profile": "select",
+    "rezero": "button",
+}
+# Home Assistant takes None for unknown. A touch without a depth is on:
+# whoever waits for a touch must not miss one.
+_DEPTH_TEMPLATE: Final = (
+    "{{ None if value_json.depth_max_mm is none else value_json.depth_max_mm | round(1) }}"
+)
+_CONTACT_TEMPLATE: Final = "{{ 'ON' if value_json.contact or value_json.touched else 'OFF' }}"
+
+
+def discovery_topics(sensor_id: str) -> tuple[str, ...]:
+    """The full topics of the announcements."""
+    return tuple(
+        f"homeassistant/{component}/{sensor_id}/{name}/config"
+        for name, component in _ENTITIES.items()
+    )
+
+
+def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
+    """The announcements by topic (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery).
+
+    The depth is rounded because Home Assistant stores each value that differs
+    from the previous one.
+    """
+    base = f"tacshade/{sensor_id}"
+    online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
+    device = {
+        "identifiers": [f"tacshade_{sensor_id}"],
+        "name": f"TacShade {sensor_id}",
+        "model": "TacShade",
+    }
+    common = {
+        "device": {**device, "sw_version": version},
+        "origin": {"name": "tacshade-edge", "sw_version": version},
+        "availability": [{"topic": f"{base}/state", "value_template": online}],
+    }
+    entities: dict[str, dict[str, Any]] = {
+        "depth": {
+            "name": "Depth",
+            "state_topic": f"{base}/contact",
+            "value_template": _DEPTH_TEMPLATE,
+            "unit_of_measurement": "mm",
+            "device_class": "distance",
+            "state_class": "measurement",
+            "suggested_display_precision": 1,
+        },
+        "contact": {
+            "name": "Contact",
+            "state_topic": f"{base}/contact",
+            "value_template": _CONTACT_TEMPLATE,
+        },
+        "touches": {
+            "name": "Touches",
+            "state_topic": f"{base}/event/contact",
+            "value_template": "{{ dict(value_json, event_type=value_json.type) | to_json }}",
+            "event_types": ["new", "update", "end"],
+            "qos": 1,
+        },
+        "state": {"name": "State", "state_topic": f"{base}/state", "entity_category": "diagnostic"},
+        "profile": {
+            "name": "Profile",
+            "state_topic": f"{base}/info",
+            "value_template": "{{ value_json.choice }}",
+            "command_topic": f"{base}/req/profile",
+            "command_template": '{"profile": "{{ value }}"}',
+            "qos": 1,
+            "options": [name for name in profiles if name != "paper"],  # a baseline of studies
+            "entity_category": "config",
+        },
+        "rezero": {
+            "name": "Re-zero",
+            "command_topic": f"{base}/req/reference",
+            "payload_press": "{}",
+            "qos": 1,
+            "entity_category": "config",
+        },
+    }
+    return {
+        topic: msgspec.json.encode(
+            {**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common}
+        )
+        for topic, name in zip(discovery_topics(sensor_id), _ENTITIES, strict=True)
+    }
+
+
+CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
+
+
+@dataclass(eq=False)
+class Publisher(FrameObserver):
+    """Publishes what subscribers want of a frame, and settles the frame, if its height is offered
+    by the outcome of that. Messages without a listener are left out, except when a contact, or a
+    touch of unknown depth, begins or ends, so that no subscriber is left with outdated values. With
+    `always_shear` it requests shear even without a listener.
+    """
+
+    offer: Callable[[str, bytes, int], None]
+    publish_event: Callable[[str, bytes], None]
+    settle: Callable[[int, FrameOutcome], None]
+    has_listener: Callable[[str], bool] = lambda stream: True
+    always_shear: bool = False
+    fps: float = 0.0
+    _sliding: frozenset[int | None] = frozenset()
+    _state: tuple[bool, bool] = (False, False)  # contact, touched
+    _has_touch: bool = False
+    _contact_sent_ns: int | None = None
+
+    def need(self) -> Need:
+        need = Need.SHEAR if self.always_shear or self.has_listener("shear") else Need.CONTACT
+        if self.has_listener("sigma"):
+            need |= Need.SIGMA
+        if self.has_listener("touch"):
+            need |= Need.TOUCH
+        if any(map(self.has_listener, ("height", "cloud", "contact"))):
+            need |= Need.DEPTH
+        return need
+
+    def settings_changed(self, settings: Settings) -> None:
+        self.always_shear = settings.shear == "always"
+
+    def see(self, seen: FrameResult) -> None:
+        if (result := seen.reconstruction) is None:
+            self.settle(seen.frame.seq, "unasked")
+            return
+        changed = (result.contact, result.touched) != self._state
+        self._state = result.contact, result.touched
+        # All are encoded first, and handed over last:
+        # the link's thread then does not take turns with this one.
+        payloads: list[tuple[str, bytes]] = []
+        crc32 = 0 if seen.calibration is None else seen.calibration.crc32
+        taken = binary.Taken(
+            calibration_crc32=crc32, pose=seen.frame.pose, pose_error_us=seen.frame.pose_error_us
+        )
+        height_goes = changed or (result.contact and self.has_listener("height"))
+        if height_goes:
+            payloads.append(("height", binary.encode_height(result, **taken)))
+        if result.contact and (changed or self.has_listener("cloud")):
+            payloads.append(("cloud", binary.encode_cloud(result, **taken)))
+        for stream, encode, grid in (
+            ("shear", binary.encode_shear, result.shear_mm),
+            ("sigma", binary.encode_sigma, result.sigma_mm),
+        ):
+            if grid is not None and (result.contact or changed) and self.has_listener(stream):
+                payloads.append((stream, encode(result, **taken)))
+        touch_ended = result.touch is None and not result.contact and (changed or self._has_touch)
+        self._has_touch = result.touch is not None
+        if (self._has_touch or touch_ended) and self.has_listener("touch"):
+            payloads.append(("touch", messages.encode_touch(result)))
+        sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
+        for began in sliding.keys() - self._sliding:
+            self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
+        self._sliding = frozenset(sliding)
+        sent_ns = self._contact_sent_ns
+        due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
+        if changed or (due and self.has_listener("contact")):
+            self._contact_sent_ns = result.t_ns
+            payloads.append(("contact", messages.encode_contact(result, fps=self.fps)))
+        if not height_goes:
+            without: FrameOutcome = "without_contact" if result.valid else "invalid"
+            self.settle(result.seq, "unasked" if result.contact else without)
+        for stream, payload in payloads:
+            self.offer(stream, payload, result.seq)
+
+
+BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
+UPDATE_PERIOD_NS = 1_000_000_000
+
+
+class ContactEvents(FrameObserver):
+    """Publishes ``event/contact``: each contact's begin, its greatest values so far once a second,
+    and its end. It requests nothing: values are those of frames that others need, at least one a
+    second. A touch of unknown depth continues a contact, and begins one once it has lasted
+    `BRIDGED_NS`.
+    """
+
+    def __init__(self, publish_event: Callable[[str, bytes], None]) -> None:
+        self._publish_event = publish_event
+        self._count = self._touched_ns = self._sent_ns = 0
+        self._start_ns: int | None = None
+        self._unmeasured_ns: int | None = None  # since when the depth of a touch is unknown
+        self._greatest: dict[str, Any] = {}
+
+    def see(self, seen: FrameResult) -> None:
+        frame, result = seen.frame, seen.reconstruction
+        lasts = self._unmeasured_lasts(frame.t_ns, result is not None and result.touched)
+        if result is None or result.contact or lasts:
+            self._touched_ns = frame.t_ns
+            new = self._start_ns is None
+            if new:
+                self._start_ns = self._unmeasured_ns if lasts else frame.t_ns
+                self._count, self._greatest = self._count + 1, {}
+            if result is not None and result.contact:
+                for name, value in messages.event_values(result).items():
+                    self._greatest[name] = max(self._greatest.get(name, value), value)
+            if new or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
+                self._send("new" if new else "update", frame)
+        elif self._start_ns is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
+            self._send("end", frame, end_ns=self._touched_ns)
+            self._start_ns = None
+
+    def _unmeasured_lasts(self, t_ns: int, touched: bool) -> bool:
+        """Whether a touch of unknown depth counts as contact in this frame."""
+        if not touched:
+            self._unmeasured_ns = None
+            return False
+        if self._unmeasured_ns is None:
+            self._unmeasured_ns = t_ns
+        return self._start_ns is not None or t_ns - self._unmeasured_ns >= BRIDGED_NS
+
+    def _send(
+        self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None
+    ) -> None:
+        self._sent_ns = frame.t_ns
+        values = {
+            **self._greatest,
+            "t_ns": frame.t_ns,
+            "wall_ns": frame.wall_ns,
+            "start_ns": self._start_ns,
+        }
+        event = ContactEvent(type=type_, id=self._count, end_ns=end_ns, **values)
+        self._publish_event("event/contact", encode_json(event))
+
+
+# This many periods without one good frame are a state, not an event.
+UNUSABLE_PERIODS = 3
+
+
+def delivered(counts: Counts) -> int:
+    """Number of frames with a good outcome: sent, with nothing to send, or not requested."""
+    return counts.published + counts.without_contact + counts.unasked
+
+
+class HealthReport(FrameObserver):
+    """The ``health`` message: how many frames arrived, their outcomes, and how fast,
+    as means between two snapshots.
+
+    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid;
+    None if one was good or none came.
+    """
+
+    def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
+        self._ledger = ledger
+        self._timings = timings
+        self._started_ns = self._last_ns = time.monotonic_ns()
+        self._last = ledger.counts()
+        self._unusable_periods = 0
+        self._touched_frames = 0
+        self._latest: Reconstruction | None = None
+        self.unusable: Reason | None = None
+
+    def see(self, seen: FrameResult) -> None:
+        self._latest = seen.reconstruction or self._latest
+        if seen.reconstruction is not None and seen.reconstruction.touched:
+            self._touched_frames += 1
+
+    def snapshot(self, source_dropped: int, mqtt: dict[str, int]) -> dict[str, Any]:
+        """The message without the observers' reports; ``frames`` are all counted at one instant."""
+        now_ns = time.monotonic_ns()
+        counts, before = self._ledger.counts(), self._last
+        seconds = max(now_ns - self._last_ns, 1) / 1e9
+        self._last, self._last_ns = counts, now_ns
+        stages = self._timings.percentiles()
+        latest = self._latest
+        reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
+        self._judge(before, counts, reason)
+        return {
+            "wall_ns": time.time_ns(),
+            "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
+            "frames": counts.as_dict(),
+            "touched_frames": self._touched_frames,
+            "source_dropped": source_dropped,
+            "capture_fps": round((counts.captured - before.captured) / seconds, 2),
+            "delivered_fps": round((delivered(counts) - delivered(before)) / seconds, 2),
+            "published_fps": round((counts.published - before.published) / seconds, 2),
+            "latency_ms": stages.pop("latency", None),
+            "stages_ms": stages,
+            **reason_fields(reason, "invalid_reason"),
+            **reason_fields(degraded, "degraded_reason"),
+            "mqtt": mqtt,
+        }
+
+    def _judge(self, before: Counts, counts: Counts, reason: Reason | None) -> None:
+        """Note whether frames come but none can be used;
+        keep the first reason, so that it is published once.
+        """
+        if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
+            return
+        if delivered(counts) > delivered(before):
+            self._unusable_periods, self.unusable = 0, None
+        elif counts.invalid > before.invalid:
+            self._unusable_periods += 1
+        if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
+            self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame is usable")
+
+
+WIDTH_PX = 320
+
+
+class Preview(FrameObserver):
+    """The ``preview`` message: a small picture of what the camera sees; no frame twice."""
+
+    def __init__(self, link: MqttLink) -> None:
+        self._link = link
+        self._latest: Frame | None = None
+        self._published: Frame | None = None
+
+    def see(self, seen: FrameResult) -> None:
+        self._latest = seen.frame
+
+    def publish(self) -> None:
+        """Publish the newest frame if somebody listens."""
+        frame = self._latest
+        if (
+            frame is None
+            or frame is self._published
+            or not (self._link.connected and self._link.has_listener("preview"))
+        ):
+            return
+        self._published = frame
+        size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
+        _, jpeg = cv2.imencode(
+            ".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA)
+        )
+        self._link.offer("preview", jpeg.tobytes(), frame.seq)
+
+
+STATUS = "status/home_assistant"
+ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
+
+
+class HomeAssistant:
+    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no
+    longer do: retained announcements outlive the daemon, and so does the status that reports them.
+    """
+
+    def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:
+        self._link, self._sensor_id, self._wanted = link, sensor_id, wanted
+        self._announced: tuple[str, ...] | None = None
+        if not wanted:
+            link.watch(STATUS, self._withdraw)
+
+    def announce(self, profiles: Sequence[str]) -> None:
+        """Announce the sensor if the settings want it and the profiles are new."""
+        if not self._wanted or self._announced == tuple(profiles):
+            return
+        self._announced = tuple(profiles)
+        for topic, payload in encode_discovery(
+            self._sensor_id, version=installed_version(), profiles=profiles
+        ).items():
+            self._link.set_retained(f"/{topic}", payload)
+        self._link.set_retained(STATUS, encode_status(ANNOUNCED))
+
+    def _withdraw(self, status: bytes) -> None:
+        """Withdraw what an earlier run announced, according to its status. Raises DecodeError."""
+        if decode_status(STATUS, status).state == ANNOUNCED:
+            for topic in discovery_topics(self._sensor_id):
+                self._link.set_retained(f"/{topic}", b"")
+            self._link.set_retained(STATUS, encode_status(WITHDRAWN))

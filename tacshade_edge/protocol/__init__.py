@@ -1,1 +1,0 @@
-"""Encode values to bytes and decode bytes to values: pure functions without I/O."""

@@ -1,1 +1,0 @@
-"""The robot's serial channel: bytes to values and back."""

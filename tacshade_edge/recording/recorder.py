@@ -1,0 +1,248 @@
+"""Writes a recording for `recording.recording`: PNG frames, their table, events, settings
+and calibration; or the frames in MCAP files instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+import cv2
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.atomic_files import (
+    disk_errors,
+    is_nearly_full,
+    part,
+    require_free,
+    sync,
+    write_whole,
+)
+from tacshade_edge.reasons import ReasonCode
+from tacshade_edge.recording.frame_table import HEADER, MORE, TABLE_NAME, line_crc32
+from tacshade_edge.recording.mcap import require_mcap
+from tacshade_edge.recording.recording_content import (
+    ABOUT_NAME,
+    CALIBRATION_NAME,
+    EVENTS_NAME,
+    SETTINGS_NAME,
+)
+from tacshade_edge.types import U8, Frame
+
+if TYPE_CHECKING:
+    from tacshade_edge.recording.mcap.writer import McapWriter
+
+FILE_BYTES_MAX: Final = 512 << 20
+FILE_NS_MAX: Final = 300 * 1_000_000_000
+"""Limits of one MCAP file, because its index stays in memory until its end, at 0.7 kB per frame."""
+_CHUNK_BYTES: Final = 16 << 10
+"""A chunk ends when it exceeds this size, as any picture does,
+so truncation loses only a frame or two.
+"""
+# Lossless; for grey images 2.5 times as fast as zlib's level 1 and no larger
+# (docs/how-to/replay.md).
+_PNG_OPTIONS: Final = {
+    cv2.IMWRITE_PNG_COMPRESSION: 1,
+    cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+    cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
+}
+PNG_OPTIONS: Final = tuple(chain.from_iterable(_PNG_OPTIONS.items()))
+
+
+def png_of(image: U8) -> bytes:
+    """Encode a frame's image as PNG for `Recorder.add`."""
+    return cv2.imencode(".png", image, PNG_OPTIONS)[1].tobytes()
+
+
+class RecordingWriter:
+    """One recording in a new folder, made at once; call `begin` first.
+
+    The table and the events grow as ``.part``, a whole line at a time, after the file that it
+    names; after a crash `recording.recording` reads them. Raises ConfigError if the folder
+    exists, and DeviceError, as the methods do, if it cannot be written or the disk is down to the
+    floor.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.frames = self.bytes = 0
+        self._unsynced: list[Path] = []
+        self._lines: dict[str, BinaryIO] = {}
+        with disk_errors(folder):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            require_free(folder.parent)
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                raise ConfigError(
+                    f"{folder}: already exists, expected the name of a new folder",
+                    code=ReasonCode.NAME_TAKEN,
+                ) from None
+
+    def begin(self, settings_yaml: str, calibration: bytes) -> None:
+        """Write the calibration's file and the settings, which a replay needs,
+        and open the events and the table.
+        """
+        with disk_errors(self.folder):
+            write_whole(self.folder / CALIBRATION_NAME, calibration)
+            write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
+            self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
+            fcntl.flock(
+                self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB
+            )  # until the recording is whole
+            self._begin_frames()
+            sync(self.folder)
+
+    def add(self, frame: Frame, png: bytes) -> bool:
+        """Write a frame with its image `png`; write nothing and return False if the disk is down
+        to the floor.
+        """
+        with disk_errors(self.folder):
+            if is_nearly_full(self.folder):
+                return False
+            self._write(f"{self.frames:06d}.png", frame, png)
+        self.frames += 1
+        self.bytes += len(png)
+        return True
+
+    def _begin_frames(self) -> None:
+        self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
+        self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
+
+    def _write(self, name: str, frame: Frame, png: bytes) -> None:
+        write_whole(self.folder / name, png, sync=False)
+        self._unsynced.append(self.folder / name)
+        columns = f"{name},{frame.t_ns},{_columns(frame)}"
+        self._lines[TABLE_NAME].write(f"{columns},{line_crc32(columns)}\n".encode())
+
+    def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Write an event; `t_ns` is on the frames' clock."""
+        line = json.dumps({"t_ns": t_ns, "kind": kind, "data": data}) + "\n"
+        with disk_errors(self.folder):
+            self._lines[EVENTS_NAME].write(line.encode())
+
+    def sync(self) -> None:
+        """Wait until everything written is on the disk;
+        syncing each frame alone would cost too much.
+        """
+        with disk_errors(self.folder):
+            for path in self._unsynced:
+                sync(path)
+            self._unsynced.clear()
+            for stream in self._lines.values():
+                os.fsync(stream.fileno())
+            sync(self.folder)
+
+    def finish(self, about: Mapping[str, object]) -> None:
+        """Complete the recording and write ``recording.json``."""
+        self.sync()
+        with disk_errors(self.folder):
+            for name in self._lines:
+                os.replace(part(self.folder / name), self.folder / name)
+            write_whole(self.folder / ABOUT_NAME, (json.dumps(about, indent=2) + "\n").encode())
+            sync(self.folder)
+        self.close()
+
+    def close(self) -> None:
+        """Close the files of an unfinished recording."""
+        for stream in self._lines.values():
+            stream.close()
+
+
+def _columns(frame: Frame) -> str:
+    if (pose := frame.pose) is None:
+        return ",,,,,,,"
+    values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
+    return ",".join((*(repr(float(v)) for v in values), str(frame.pose_error_us)))
+
+
+class McapRecorder(RecordingWriter):
+    """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...;
+    each opens alone and grows as ``.part``.
+    """
+
+    def __init__(self, folder: Path, sensor_id: str) -> None:
+        require_mcap()
+        super().__init__(folder)
+        self._sensor_id = sensor_id
+        self._files = self._begun_ns = 0
+        self._open: tuple[BinaryIO, McapWriter] | None = None
+
+    def _begin_frames(self) -> None:
+        """Write no table: the MCAP files hold the times and poses."""
+
+    def _write(self, name: str, frame: Frame, png: bytes) -> None:
+        try:
+            if self._open is not None and (
+                self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
+            ):
+                self._end_file()
+            if self._open is None:
+                self._begin_file(frame)
+            assert self._open is not None
+            stream, writer = self._open
+            writer.frame(name, frame, png, frame.wall_ns)
+            stream.flush()
+        except OSError:
+            self._leave_file()
+            raise
+
+    def sync(self) -> None:
+        """Wait until everything written is on the disk."""
+        super().sync()
+        if self._open is not None:
+            with disk_errors(self.folder):
+                os.fsync(self._open[0].fileno())
+
+    def finish(self, about: Mapping[str, object]) -> None:
+        """Complete the recording and write ``recording.json``."""
+        with disk_errors(self.folder):
+            self._end_file()
+        super().finish(about)
+
+    def close(self) -> None:
+        """Close the files of an unfinished recording."""
+        super().close()
+        self._leave_file()
+
+    def _path(self) -> Path:
+        return self.folder / f"{self._files - 1:03d}.mcap"
+
+    def _begin_file(self, frame: Frame) -> None:
+        from tacshade_edge.recording.mcap.writer import McapWriter
+
+        self._files += 1
+        self._begun_ns = frame.t_ns
+        stream = part(self._path()).open("wb")
+        # PNG cannot be compressed further.
+        writer = McapWriter(stream, self._sensor_id, chunk_bytes=_CHUNK_BYTES, compress=False)
+        self._open = stream, writer
+        for name in (CALIBRATION_NAME, SETTINGS_NAME):
+            writer.attach(name, (self.folder / name).read_bytes(), frame.wall_ns)
+        sync(self.folder)
+
+    def _end_file(self) -> None:
+        if self._open is None:
+            return
+        stream, writer = self._open
+        writer.finish()
+        stream.flush()
+        os.fsync(stream.fileno())
+        part(self._path()).rename(self._path())
+        sync(self.folder)
+        self._leave_file()
+
+    def _leave_file(self) -> None:
+        """Close the file; a torn record stays the last one in its ``.part``,
+        which readers read up to it.
+        """
+        if self._open is not None:
+            with contextlib.suppress(OSError):  # flushing the buffer may fail, too
+                self._open[0].close()
+        self._open = None

@@ -1,0 +1,234 @@
+"""Reads a recording (images, a video or an MCAP file with time stamps) frame by frame
+and drops none.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX
+from tacshade_edge.files.images import SUFFIXES, images_in, read_image
+from tacshade_edge.quoting import encodable
+from tacshade_edge.recording.frame_table import FrameTable, TableRow, read_table, table_in
+from tacshade_edge.recording.mcap import is_mcap, mcap_frames
+from tacshade_edge.recording.recording_content import wall_minus_t_ns
+from tacshade_edge.regular_files import named_file
+from tacshade_edge.types import U8, Frame
+
+DEFAULT_FPS = 30.0
+Picture = Callable[[], U8]
+"""Reads an image when its turn comes. Raises DecodeError."""
+
+# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens
+# playlists, which can name any file or address.
+_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """A frame with the name of its image (or its number in a video or an MCAP file) and the Unix
+    time of the capture (or `t_ns`, if unknown); the frame's own `wall_ns` is 0, so that equal
+    recordings give equal bytes.
+    """
+
+    name: str
+    frame: Frame
+    wall_ns: int = 0
+
+
+class Entry(NamedTuple):
+    """A frame whose picture has not been read yet."""
+
+    seq: int
+    row: TableRow
+    picture: Picture
+    wall_ns: int
+
+
+class Recording:
+    """A folder of images (table ``frames.csv``), one image, a video ``NAME.mp4`` (table
+    ``NAME.csv``, if `video_table`) or MCAP.
+
+    Raises ConfigError if there is nothing to replay, or the table is wrong.
+
+    `fps` is the frame rate of the time stamps without a table. Time stamps and numbers keep growing
+    in `times` passes (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote
+    before is included. `damage` is of everything but images, for a person. `images` is the number
+    of frames of one pass and `frames` that of all; 0 or None if unknown before the end.
+    """
+
+    def __init__(
+        self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True
+    ) -> None:
+        self._path = path
+        self._period_ns = 1e9 / (fps or DEFAULT_FPS)
+        self._mcap = mcap_frames(path) if is_mcap(path) else None
+        self._table = None if self._mcap else _table_beside(path, video_table=video_table)
+        self._rows: FrameTable | None = None
+        self.cut_off, self.damage, self.images = False, "", 0
+        if fps is not None and (stated := path if self._mcap else self._table) is not None:
+            raise ConfigError(
+                f"--fps: found {fps:g}, expected no value, "
+                f"because {stated} contains the time stamps"
+            )
+        if self._mcap is not None:
+            self.cut_off, self.damage = self._mcap.cut_off, self._mcap.damage
+        elif self._table is not None:
+            self.cut_off = self._table.suffix == ".part"
+            self._rows = read_table(self._table, cut_off=self.cut_off)
+            self.damage, self.images = self._rows.damage, len(self._rows)
+        else:
+            self.images = len(look_at(path)[0])
+        self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
+        self.frames = self.images * times or None
+        self._shift_ns = 0
+        passes = itertools.count() if times == 0 else range(times)
+        entries = enumerate(entry for _ in passes for entry in self._one_pass())
+        self._entries: Iterator[Entry] = (Entry(seq, *entry) for seq, entry in entries)
+
+    def read(self) -> RecordedFrame | None:
+        """The next frame; None after the last.
+
+        Raises DecodeError if this image is unusable, after which the next call continues with the
+        next one, and ConfigError if a video's table does not have one row per frame.
+        """
+        if (entry := self.next_entry()) is None:
+            return None
+        row = entry.row
+        frame = Frame(entry.seq, row.t_ns, 0, entry.picture(), row.pose, row.pose_error_us)
+        return RecordedFrame(encodable(row.image), frame, entry.wall_ns)
+
+    def next_entry(self) -> Entry | None:
+        """The next frame without its picture; None after the last."""
+        return next(self._entries, None)
+
+    @property
+    def length_ns(self) -> int:
+        """The time from a pass's first frame to its last;
+        0 if unknown, as for a video or truncated MCAP file.
+        """
+        if self._mcap is not None:
+            return self._mcap.length_ns
+        if self._rows is not None:
+            return self._rows[-1].t_ns - self._rows[0].t_ns if len(self._rows) else 0
+        return round(max(self.images - 1, 0) * self._period_ns)
+
+    def skip_to(self, t_ns: int, *, frames: int = 0) -> None:
+        """Skip the frames before this time except the last `frames` of them;
+        in a folder their images are not read.
+        """
+        before: deque[Entry] = deque(maxlen=frames)
+        for entry in self._entries:
+            if entry.row.t_ns >= t_ns:
+                self._entries = itertools.chain((entry,), self._entries)
+                break
+            before.append(entry)
+        self._entries = itertools.chain(before, self._entries)
+
+    def _one_pass(self) -> Iterator[tuple[TableRow, Picture, int]]:
+        first_ns = last_ns = count = 0
+        for row, picture, wall_ns in self._items():
+            first_ns = row.t_ns if count == 0 else first_ns
+            last_ns = row.t_ns
+            count += 1
+            t_ns = row.t_ns + self._shift_ns
+            pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
+            yield replace(row, t_ns=t_ns, pose=pose), picture, wall_ns + self._shift_ns
+        self._shift_ns += (
+            last_ns
+            - first_ns
+            + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
+        )
+
+    def _items(self) -> Iterator[tuple[TableRow, Picture, int]]:
+        if self._mcap is not None:
+            yield from self._mcap
+            return
+        for row, picture in self._files():
+            yield row, picture, row.t_ns + self._wall_minus_t_ns
+
+    def _files(self) -> Iterator[tuple[TableRow, Picture]]:
+        if self._rows is not None and self._path.is_dir():
+            yield from (
+                (row, partial(read_image, named_file(self._path, row.image))) for row in self._rows
+            )
+            return
+        images, video = look_at(self._path)
+        for index, image in enumerate(images):
+            yield (
+                TableRow(image.name, round(index * self._period_ns), None),
+                partial(read_image, image),
+            )
+        if video is None:
+            return
+        index = 0
+        while (grabbed := video.read())[0]:
+            yield self._video_row(index), partial(np.asarray, grabbed[1], np.uint8)
+            index += 1
+        video.release()
+        if self._rows is not None and index < len(self._rows):
+            raise ConfigError(
+                f"{self._table}: found {len(self._rows)} rows, expected {index}, "
+                "one per video frame"
+            )
+
+    def _video_row(self, index: int) -> TableRow:
+        if self._rows is None:
+            return TableRow(str(index), round(index * self._period_ns), None)
+        row: TableRow | None = self._rows[index] if index < len(self._rows) else None
+        if row is None or row.image != str(index):
+            found = f"row {index + 1} is not that of frame {index}"
+            raise ConfigError(
+                f"{self._table}: {found}, expected one row per video frame, "
+                "with frames numbered from 0"
+            )
+        return row
+
+
+def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
+    """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
+    if path.is_dir():
+        return images_in([path]), None
+    if not path.is_file():
+        raise ConfigError(
+            f"{path}: found nothing, expected a folder of images, an image or a video file"
+        )
+    if path.suffix.lower() in SUFFIXES:
+        return [path], None
+    os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    width, height = (
+        int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
+    if video.isOpened() and (max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX):
+        raise ConfigError(
+            f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side"
+        )
+    if not video.isOpened() or not video.grab():
+        raise ConfigError(
+            f"{path}: found a file that OpenCV cannot read, "
+            "expected a video file or a folder of images"
+        )
+    return [], cv2.VideoCapture(
+        str(path), cv2.CAP_FFMPEG
+    )  # winding back finds no frame in a video of one
+
+
+def _table_beside(path: Path, *, video_table: bool) -> Path | None:
+    if path.is_dir():
+        return table_in(path)
+    is_video = path.is_file() and path.suffix.lower() not in SUFFIXES
+    table = path.with_suffix(".csv")
+    return table if video_table and is_video and table != path and table.exists() else None

@@ -1,0 +1,277 @@
+"""The verbs of the robot's line: their arguments, and the texts of ``OK``,
+``ERR`` and ``EVT`` lines.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from tacshade_edge.errors import DecodeError
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.line import Line, printable, seal
+from tacshade_edge.robot.pose import T_NS_MAX, parse_time
+from tacshade_edge.types import QUANTITIES
+from tacshade_edge.wire.error_words import OTHERWISE, error_word
+from tacshade_edge.wire.results import ClockRead, SerialResult
+
+PROTOCOL_VERSION: Final = 1
+NAMES_MAX: Final = 6
+RATE_DEFAULT_HZ: Final = 60
+RATE_MAX_HZ: Final = 1000
+SHARE: Final = 0.9
+"""Share of the line's capacity for touch events;
+the rest stays free for answers and other events.
+"""
+_BITS_PER_BYTE: Final = 10  # with start and stop bit
+_BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
+_VALUE_BYTES_MAX: Final = 8
+_SEQ_MAX: Final = 2**32 - 1
+UNKNOWN: Final = "-"
+"""An unknown value."""
+_THREE_DECIMALS: Final = ("depth_mm", "disagreement_mm")
+_STITCH_ACTIONS: Final = ("BEGIN", "ADD", "END", "ABORT", "STATUS")
+_BOOT = re.compile(r"boot=([0-9A-Za-z]{1,16})")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """A command that must be executed and answered once; two are never equal.
+
+    Its arguments are valid.
+
+    `arrived_ns` is the time given to `SerialLink.receive`.
+    """
+
+    seq: int | None
+    verb: str
+    args: tuple[str, ...]
+    arrived_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TouchAsked:
+    """The arguments of ``TOUCH ON``: some of `types.QUANTITIES`,
+    and the greatest number of events per second.
+    """
+
+    names: tuple[str, ...]
+    rate_hz: int
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSeen:
+    """The touch in the frame `seq`: each requested quantity, in the unit of its name,
+    None if unknown.
+    """
+
+    seq: int
+    t_ns: int
+    contact: bool  # False once, when the contact ends, and where only a learnt model sees a touch
+    values: tuple[tuple[str, float | None], ...]
+    touched: bool = False  # something touches, but its depth is unknown; `contact` is then False
+
+    def text(self) -> str:
+        """The event that reports it: ``touched=1`` for an unknown depth,
+        else ``contact=0`` without contact.
+        """
+        state = " touched=1" if self.touched else "" if self.contact else " contact=0"
+        return f"TOUCH {self.seq} {self.t_ns}{state}" + "".join(
+            f" {name}={_value_text(v)}" for name, v in self.values
+        )
+
+
+def object_text(seq: int, t_ns: int, name: str, probability: float) -> str:
+    """The event that names an object."""
+    return f"OBJECT {seq} {t_ns} {name} {probability:.3f}"
+
+
+# -- the arguments ---------------------------------------------------------------------------------
+
+
+def parse_touch(args: Sequence[str]) -> TouchAsked | None:
+    """Parse the arguments of ``TOUCH``; None is ``OFF``. Raises DecodeError."""
+    action, *names = args or ("",)
+    if action.upper() == "OFF" and not names:
+        return None
+    if action.upper() != "ON":
+        raise DecodeError(f"found {' '.join(args)[:40]!r}, expected ON or OFF")
+    rate_hz = RATE_DEFAULT_HZ
+    if names and names[-1][0].isdigit():
+        text = names.pop()
+        if not text.isdigit() or not 1 <= int(text) <= RATE_MAX_HZ:
+            raise DecodeError(
+                f"found the RATE {text[:16]}, expected a whole number of Hz from 1 to {RATE_MAX_HZ}"
+            )
+        rate_hz = int(text)
+    unknown = next((name for name in names if name not in QUANTITIES), None)
+    if unknown is not None:
+        raise DecodeError(f"found {unknown[:20]!r}, expected one of {' '.join(QUANTITIES)}")
+    if not 1 <= len(set(names)) == len(names) <= NAMES_MAX:
+        raise DecodeError(f"found {len(names)} names, expected 1 to {NAMES_MAX} different names")
+    return TouchAsked(tuple(names), rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class _Verb:
+    """A verb's arguments as ``HELP`` shows them, how many there may be,
+    and what raises DecodeError for wrong ones.
+
+    If there are `words`, the first argument is one of them, in any case.
+    """
+
+    usage: str = ""
+    least: int = 0
+    most: int = 0
+    words: tuple[str, ...] = ()
+    check: Callable[[Sequence[str]], object] = len
+
+
+_VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
+    "HELLO": _Verb("1 [crc=req|opt] [boot=ID]"),
+    "SYNC": _Verb("t1 [t4]", 1, 2, check=lambda args: [parse_time(text) for text in args]),
+    "POSE": _Verb("t x y z qw qx qy qz"),
+    "CAPTURE": _Verb(),
+    "REFERENCE": _Verb(),
+    "STITCH": _Verb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
+    "TOUCH": _Verb(
+        f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}",
+        1,
+        NAMES_MAX + 2,
+        check=parse_touch,
+    ),
+    "STATUS": _Verb(),
+    "MODE": _Verb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
+    "HELP": _Verb("[VERB]"),
+}
+USAGE: Final = {name: f"{name} {verb.usage}".strip() for name, verb in _VERBS.items()}
+
+
+def parse_command(line: Line, arrived_ns: int) -> Command | Reason:
+    """Parse a line that takes a number, or return why it is not valid."""
+    verb, args = _VERBS.get(line.verb), line.args
+    if verb is None:
+        return _unknown_verb(line.verb)
+    if verb.words:
+        args = tuple(arg.upper() for arg in args[:1]) + args[1:]
+    if not verb.least <= len(args) <= verb.most or (verb.words and args[0] not in verb.words):
+        return Reason(ReasonCode.BAD_ARGUMENTS, f"expected {USAGE[line.verb]}")
+    try:
+        verb.check(args)
+    except DecodeError as error:
+        return Reason(ReasonCode.BAD_ARGUMENTS, str(error))
+    return Command(line.seq, line.verb, args, arrived_ns)
+
+
+def parse_hello(line: Line) -> tuple[str, bool] | Reason:
+    """The boot's ID, empty if ``HELLO`` names none, and whether it requires checksums,
+    or why it is not valid.
+    """
+    version, *options = line.args or ("",)
+    if version != str(PROTOCOL_VERSION):
+        return Reason(
+            ReasonCode.OTHER_VERSION, f"found {version or 'none'}, expected {PROTOCOL_VERSION}"
+        )
+    boot, crc = "", "crc=opt"
+    for option in options:
+        if named := _BOOT.fullmatch(option):
+            boot = named[1]
+        elif option in ("crc=req", "crc=opt"):
+            crc = option
+        else:
+            return Reason(ReasonCode.BAD_ARGUMENTS, f"found {option}, expected {USAGE['HELLO']}")
+    return boot, crc == "crc=req"
+
+
+def help_text(line: Line) -> str | Reason:
+    """The verbs, or the arguments of the verb that ``HELP`` names."""
+    if not line.args:
+        return f"{' '.join(USAGE)}; HELP VERB says more"
+    return USAGE.get(line.args[0].upper()) or _unknown_verb(line.args[0])
+
+
+def _unknown_verb(verb: str) -> Reason:
+    return Reason(ReasonCode.UNKNOWN_VERB, f"found {verb[:32]}, expected one of {' '.join(USAGE)}")
+
+
+# -- the texts -------------------------------------------------------------------------------------
+
+
+def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str = "") -> str:
+    """The line that answers the command `seq`; docs/reference/serial.md describes each.
+
+    ``-`` if it has no number.
+
+    An ``ERR`` has its code's word, but most reasons of ``REFERENCE`` share one.
+    """
+    number = "-" if seq is None else str(seq)
+    if isinstance(outcome, Reason):
+        refused = verb == "REFERENCE" and outcome.code is not ReasonCode.NOT_CALIBRATED
+        return printable(
+            f"ERR {number} {OTHERWISE if refused else error_word(outcome.code)} {outcome.text}"
+        )
+    if isinstance(outcome, ClockRead):
+        outcome = f"{outcome.t2_ns} {outcome.t3_ns}"
+    elif not isinstance(outcome, str):
+        outcome = " ".join(
+            f"{name}={_figure_text(name, value)}" for name, value in outcome.figures().items()
+        )
+    return printable(f"OK {number} {outcome}")
+
+
+def ready_text(away_ms: int) -> str:
+    """The event of a port that was opened after an absence, or 0."""
+    return f"READY tacshade {PROTOCOL_VERSION}" + (f" away_ms={away_ms}" if away_ms else "")
+
+
+def _figure_text(name: str, value: object) -> object:
+    if value is None:
+        return UNKNOWN
+    if name in _THREE_DECIMALS:
+        return f"{value:.3f}"
+    return int(value) if isinstance(value, bool) else value
+
+
+def _value_text(value: float | None) -> str:
+    """Format with three decimals, a large number with one;
+    `UNKNOWN` if unknown or larger than any touch.
+    """
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    texts = (f"{value:.{decimals}f}" for decimals in (3, 1))
+    return next((text for text in texts if len(text) <= _VALUE_BYTES_MAX), UNKNOWN)
+
+
+def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
+    """Why a line of `baud` bits/s cannot carry the events at their longest; None if it can."""
+    longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE
+    if asked.rate_hz * longest_bytes <= most_bytes_s:
+        return None
+    found = (
+        f"found {asked.rate_hz * longest_bytes} bytes/s ({asked.rate_hz} events/s of up to "
+        f"{longest_bytes} bytes)"
+    )
+    expected = f"expected at most {most_bytes_s:.0f} bytes/s ({100 * SHARE:g} % of {baud} baud)"
+    text = f"{found}, {expected}; use a lower RATE, fewer names or a faster line"
+    return Reason(ReasonCode.LINE_TOO_SLOW, text)
+
+
+def event_bytes_max(names: Sequence[str]) -> int:
+    """The greatest length in bytes of an event of these quantities, with its checksum,
+    in either mode.
+    """
+    ends, touches = (
+        len(
+            seal(
+                "EVT "
+                + TouchSeen(
+                    _SEQ_MAX, T_NS_MAX, contact, tuple((name, None) for name in names)
+                ).text()
+            )
+        )
+        for contact in (False, True)
+    )
+    return max(ends, touches + len(names) * (_VALUE_BYTES_MAX - 1)) + _BINARY_MORE

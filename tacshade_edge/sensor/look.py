@@ -1,0 +1,112 @@
+"""A picture of a sensor, looked at once: what stages need of it is derived when one asks, and kept.
+
+The judges and the gate see the same pictures in every profile; a network may see finer ones.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from tacshade_edge.reasons import Reason
+from tacshade_edge.sensor.contact.gate import ContactGate, gate_preprocessor
+from tacshade_edge.sensor.frame_check import Judges, Measured, first_reason, picture, size_reason
+from tacshade_edge.sensor.image import greyscale
+from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.sensor.profiles import Profile
+from tacshade_edge.types import U8, Calibration
+
+
+class Eye:
+    """What looks at one sensor's pictures in a profile, and the work space that its looks share.
+
+    `own` prepares pictures for the profile's solver, `seen` those for judges and gate.
+    """
+
+    def __init__(self, calibration: Calibration, profile: Profile, *, with_network: bool) -> None:
+        self.shape = (calibration.image_height_px, calibration.image_width_px)
+        self.own = Preprocessor(calibration, profile)
+        self.seen = seen = gate_preprocessor(calibration, self.own)
+        grey, disc = seen.calibration.reference_grey, seen.calibration.geometry.disc
+        plain_pitch_px = None if with_network else seen.calibration.pitch_px
+        self.judges = Judges(grey, disc, plain_pitch_px, seen.camera_px)
+        self.gate = ContactGate(seen)
+        self.grey_space: U8 = np.empty(self.shape, np.uint8)
+        self.seen_space = seen.integrator.space()
+        shared = seen is self.own
+        self.own_space = self.seen_space if shared else self.own.integrator.space()
+
+
+class Look:
+    """One picture, (H, W) or (H, W, 3) BGR; only the latest look of an eye may derive more.
+
+    Nothing but `size_reason` may be asked of a picture that has another size than the sensor's.
+    """
+
+    def __init__(self, eye: Eye, image: U8) -> None:
+        self._eye = eye
+        self._image = image
+
+    @cached_property
+    def size_reason(self) -> Reason | None:
+        """Why the picture's size is wrong."""
+        return size_reason(self._image, self._eye.shape)
+
+    @cached_property
+    def _camera_grey(self) -> U8:
+        return greyscale.to_grey(self._image, self._eye.grey_space)
+
+    @cached_property
+    def grey(self) -> U8:
+        """The grey picture that judges and gate see."""
+        return self._eye.seen.grey(self._camera_grey)
+
+    @cached_property
+    def judged(self) -> tuple[Measured, ...]:
+        """What the judges measure of the grey picture; nothing after the first that refuses."""
+        return self._eye.judges.measured(self.grey)
+
+    @cached_property
+    def white(self) -> Preprocessed:
+        """The white that the gate sees."""
+        return self._eye.seen.preprocess(self.grey, self._eye.seen_space)
+
+    @cached_property
+    def drift_grey(self) -> float:
+        """The common change of eq. 1 since the reference."""
+        return self._eye.seen.drift_grey(self._eye.seen.ratio(self.white.white))
+
+    @cached_property
+    def white_judged(self) -> tuple[Measured, ...]:
+        """What is measured of the white: glare, and the common change."""
+        return picture.white_measured(self.white.unseen, self.drift_grey)
+
+    @cached_property
+    def degraded(self) -> Reason | None:
+        """Why the picture is degraded, if it is not refused."""
+        return picture.degraded_reason(self.white.unseen, self.drift_grey)
+
+    @cached_property
+    def changed_part(self) -> float:
+        """The part of the picture that changed since the reference."""
+        return self._eye.gate.changed_part(self.white)
+
+    @cached_property
+    def own_white(self) -> Preprocessed:
+        """The white that the profile's solver sees."""
+        eye = self._eye
+        if eye.own is eye.seen:
+            return self.white
+        return eye.own.preprocess(eye.own.grey(self._camera_grey), eye.own_space)
+
+    @property
+    def measured(self) -> tuple[Measured, ...]:
+        """What judges measure without a network; nothing after the first that refuses."""
+        if first_reason(self.judged) is not None:
+            return self.judged
+        return self.judged + self.white_judged
+
+    def lift(self) -> float:
+        """`GlareFinder.lift` of the picture."""
+        return self._eye.seen.lift(self._camera_grey)

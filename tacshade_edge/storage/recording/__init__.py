@@ -1,1 +1,0 @@
-"""Writes and reads recordings, as PNG files or as MCAP."""

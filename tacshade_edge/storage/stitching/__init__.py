@@ -1,1 +1,0 @@
-"""Stitching sessions and maps on disk."""

@@ -1,0 +1,7 @@
+"""The bytes that leave a sensor: topics, JSON, binary payloads, requests and their results. Pure.
+
+In: values. Out: bytes, and values again.
+Threads: none.
+Other rooms use: `binary`, `broker_address`, `codec`, `error_words`, `hand_messages`, `messages`,
+    `requests`, `results`, `topics`.
+"""

@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.calibrated_sensor import FULL, calibrated, references, sensor_of, simulated
+from support.calibrated_sensor import presses as half_presses
+from support.observed_presses import SEEDS, observed
+
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.indenters import Ball, stated_ball
+from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.observation import PressObservation
+from tacshade_edge.calibration.press_machine import from_travel
+from tacshade_edge.calibration.presses.press_check import PressCheck
+from tacshade_edge.calibration.presses.table_check import gross_mistakes, size_mistake, zero_hint
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.lab.simulator.script import ball_presses
+from tacshade_edge.sensor.inference.network import load_networks
+from tacshade_edge.types import Disc, Geometry
+
+GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
+Change = Callable[[PressObservation], PressObservation]
+
+
+@pytest.mark.parametrize(
+    ("depth", "ball", "said"),
+    [
+        (1.1, 0.53, "are they diameters?"),
+        (0.82, 0.53, "are they diameters?"),  # with a network that finds depths too small
+        (0.7, 0.68, ""),  # depths too great by a constant
+        (
+            1.0,
+            0.79,
+            "",
+        ),  # good tables of a skin of 12 mm, and of a stiff skin on a soft gel (the third family)
+        (1.0, 2.1, "are they halved?"),
+        (1.0, math.nan, ""),
+    ],
+)
+def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
+    depth: float, ball: float, said: str
+) -> None:
+    found = size_mistake(depth, ball, (), GEOMETRY)
+    assert said in found
+    assert bool(said) == bool(found)
+
+
+@cache
+def seen() -> tuple[PressObservation, ...]:
+    """True presses of `HALF`, also as a network sees them."""
+    check = PressCheck(calibrated(count=0), load_networks()["accurate"])
+    return tuple(check.observation(check.look(press.image), press) for press in half_presses())
+
+
+def turned(a: float, b: float, c: float, d: float) -> Change:
+    """Places read by other axes."""
+    return lambda o: replace(
+        o,
+        x_mm=a * (o.x_mm or 0.0) + b * (o.y_mm or 0.0),
+        y_mm=c * (o.x_mm or 0.0) + d * (o.y_mm or 0.0),
+    )
+
+
+MISTAKES: dict[str, Change] = {
+    "": lambda o: o,
+    "are the depths in cm?": lambda o: replace(o, depth_mm=o.depth_mm / 10),
+    "are the depths in inches?": lambda o: replace(o, depth_mm=o.depth_mm / 25.4),
+    "are the depths in m?": lambda o: replace(o, depth_mm=o.depth_mm / 1000),
+    "are they diameters?": lambda o: replace(o, ball_factor=o.ball_factor / 2),
+    "are they halved?": lambda o: replace(o, ball_factor=o.ball_factor * 2),
+    "if x and y are swapped": turned(0, 1, 1, 0),
+    "if x has the opposite sign": turned(-1, 0, 0, 1),
+    "if y has the opposite sign": turned(1, 0, 0, -1),
+    "if x and y have the opposite sign": turned(-1, 0, 0, -1),
+    "if x and y are swapped and have the opposite sign": turned(0, -1, -1, 0),
+    "if the axes are turned by 90 degrees": turned(0, 1, -1, 0),
+    "if the axes are turned by -90 degrees": turned(0, -1, 1, 0),
+    "if x and y are in cm": turned(0.1, 0, 0, 0.1),
+    "if x and y are in m": turned(0.001, 0, 0, 0.001),
+    "if x and y are in inches": turned(1 / 25.4, 0, 0, 1 / 25.4),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
+    geometry = calibrated(count=0).geometry
+    found = gross_mistakes([MISTAKES[mistake](o) for o in seen()], geometry)
+    assert len(found) == bool(mistake)
+    assert all(mistake in text for text in found)
+    unplaced = [replace(MISTAKES[mistake](o), x_mm=None, y_mm=None) for o in seen()]
+    assert len(gross_mistakes(unplaced, geometry)) == ("they" in mistake or "depths" in mistake)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_axes_are_judged_without_a_network_too(seed: int) -> None:
+    presses, geometry = observed(seed)
+    assert gross_mistakes(presses, geometry) == ()
+    (hint,) = gross_mistakes([turned(0, 1, 1, 0)(o) for o in presses], geometry)
+    assert hint.endswith("if x and y are swapped")
+
+
+def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:
+    """What a network that is off by 7 % and 0.15 mm finds of balls."""
+    rng = np.random.default_rng(seed)
+    balls = [
+        stated_ball(20.0, p.x_mm, p.y_mm, p.depth_mm, radius)
+        for p, radius in ball_presses(FULL, count, seed)
+    ]
+    return [0.93 * b.depth_max_mm(20.0) + 0.15 * float(rng.standard_normal()) for b in balls], balls
+
+
+def lower(ball: Ball, by_mm: float) -> Ball:
+    return replace(ball, z_mm=ball.z_mm - by_mm)
+
+
+@pytest.mark.parametrize("off_mm", [-0.8, 0.8])
+def test_a_constant_offset_is_measured(off_mm: float) -> None:
+    found_mm, balls = set_of(24, 1)
+    assert zero_hint(found_mm, balls, GEOMETRY) == ""
+    hint = zero_hint(found_mm, [lower(ball, off_mm) for ball in balls], GEOMETRY)
+    change = hint.removeprefix("the depths fit better if all are ").removesuffix(
+        ": check where depth is zero"
+    )
+    size, unit, direction = change.split(" ")
+    assert (unit, direction) == ("mm", "less" if off_mm > 0 else "more")
+    assert float(size) == pytest.approx(0.8, abs=0.25)
+
+
+def test_what_says_nothing_has_no_hint() -> None:
+    found_mm, balls = set_of(24, 2)
+    off = [lower(ball, 0.8) for ball in balls]
+    assert zero_hint(found_mm, off, GEOMETRY) != ""
+    assert zero_hint(found_mm[:11], off[:11], GEOMETRY) == ""  # too few
+    assert zero_hint([2.0] * 24, off, GEOMETRY) == ""
+    assert (
+        zero_hint([0.5 * h for h in found_mm], off, GEOMETRY) == ""
+    )  # no sensor of the network's kind
+
+
+@pytest.fixture(scope="module")
+def presses() -> list[KnownPress]:
+    return [
+        KnownPress(
+            f"press {k}",
+            simulated(FULL).frame((p,), 300 + k).image,
+            radius,
+            p.depth_mm,
+            p.x_mm,
+            p.y_mm,
+        )
+        for k, (p, radius) in enumerate(ball_presses(FULL, 24, 3))
+    ]
+
+
+def stated_as(presses: list[KnownPress], off_mm: Callable[[KnownPress], float]) -> list[KnownPress]:
+    table = [replace(press, depth_mm=press.depth_mm + off_mm(press)) for press in presses]
+    return [press for press in table if press.depth_mm > 0]
+
+
+def warnings_of(table: list[KnownPress]) -> tuple[str, ...]:
+    networks = {"accurate": load_networks()["accurate"]}
+    return calibrate(sensor_of(FULL), references(FULL), table, networks=networks).warnings
+
+
+def less_first_touch(press: KnownPress) -> float:
+    return -Ball(press.x_mm or 0, press.y_mm or 0, 0, press.radius_mm).first_touch_mm(
+        FULL.skin_radius_mm
+    )
+
+
+@pytest.mark.slow
+def test_a_simulated_sensor(presses: list[KnownPress]) -> None:
+    hints = [
+        warning
+        for warning in warnings_of(stated_as(presses, lambda _: 0.7))
+        if "fit better" in warning
+    ]
+    assert "mm less: check where depth is zero" in " ".join(hints)
+
+
+@pytest.mark.slow
+def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
+    presses: list[KnownPress],
+) -> None:
+    table = stated_as(presses, less_first_touch)
+    with pytest.raises(
+        ConfigError,
+        match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch,",
+    ):
+        warnings_of(table)
+    read = [from_travel(press, FULL.skin_radius_mm) for press in table]
+    assert [press.depth_mm for press in read] == pytest.approx(
+        [press.depth_mm for press in presses]
+    )
+    assert warnings_of(read) == ()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.7, 1.0, 1.4]), st.integers(12, 40))
+def test_right_depths_are_not_taken_for_travel(seed: int, factor: float, count: int) -> None:
+    found_mm, balls = set_of(count, seed)
+    hint = zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them
+    assert "travel" not in hint

@@ -1,0 +1,372 @@
+"""Recordings with frames that the test hands over; test_app.py records a running daemon."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tacshade_edge.daemon import live_recorder
+from tacshade_edge.daemon.live_recorder import STOPPED, TIME, ByteQueue, LiveRecorder
+from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.recording.frame_table import read_table
+from tacshade_edge.recording.recorder import McapRecorder, png_of
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.settings import Recorder as SettingsOfRecorder
+from tacshade_edge.settings import Settings
+from tacshade_edge.types import Calibration, Frame
+from tools.testbed.painted_sensor import FREE, TOUCHED
+from tools.testbed.patience import patience, wait_until
+
+
+@given(st.lists(st.tuples(st.integers(1, 15), st.booleans()), max_size=40))
+def test_every_item_is_taken_in_order_or_counted_and_the_limit_holds(
+    steps: list[tuple[int, bool]],
+) -> None:
+    queue: ByteQueue[tuple[int, int]] = ByteQueue(20)
+    taken: list[tuple[int, int]] = []
+    held = refused = 0
+    for number, (size, take) in enumerate(steps):
+        fitted = queue.put((number, size), size)
+        held += size if fitted else 0
+        refused += not fitted
+        assert held <= 20
+        if take and (item := queue.take(0)) is not None:
+            taken.append(item)
+            held -= item[1]
+    queue.close()
+    while not queue.drained:
+        item = queue.take(0)
+        assert item is not None
+        taken.append(item)
+    assert taken == sorted(taken)
+    assert len(taken) + refused == len(steps)
+
+
+def test_an_item_of_any_size_fits_an_empty_queue_and_a_reserve_is_for_its_kind() -> None:
+    queue: ByteQueue[str] = ByteQueue(10)
+    assert queue.put("huge", 99)
+    assert not queue.put("a", 1)
+    assert queue.put("event", 1, reserve_bytes=90)
+    assert [queue.take(0), queue.take(0), queue.take(0)] == ["huge", "event", None]
+
+
+class Live:
+    """A recorder and the tap that the grab thread would use."""
+
+    def __init__(self, calibration: Calibration, folder: Path) -> None:
+        self.written: list[str] = []
+        self.status: list[dict[str, Any]] = []
+        self.recorder = LiveRecorder(
+            lambda status: self.status.append(json.loads(status)), lambda: self.written.append("")
+        )
+        self.recorder.start()
+        self.folder = folder / "recs" / "one"
+        self._calibration = calibration
+
+    def begin(
+        self,
+        seconds: float = 60.0,
+        name: str = "one",
+        make: Callable[..., Any] = live_recorder.RecordingWriter,
+    ) -> None:
+        folder = self.folder.with_name(name)
+        self.recorder.begin(
+            folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"}, make
+        )
+
+    def give(self, *frames: Frame) -> None:
+        for frame in frames:
+            if tap := self.recorder.tap:
+                tap(frame)
+
+    def ended(self) -> dict[str, Any]:
+        """The status when the recording is written."""
+
+        def poll() -> bool:
+            self.recorder.poll()
+            return self.recorder.now() is None
+
+        wait_until(poll, 20, "the recording has ended")
+        return self.status[-1]
+
+    def about(self) -> dict[str, Any]:
+        read: dict[str, Any] = json.loads((self.folder / "recording.json").read_text())
+        return read
+
+    def events(self) -> list[dict[str, Any]]:
+        return [
+            json.loads(line) for line in (self.folder / "events.jsonl").read_text().splitlines()
+        ]
+
+    def until(self, **counts: int) -> None:
+        wait_until(lambda: counts.items() <= self.recorder.health().items(), 20, f"{counts}")
+
+
+@pytest.fixture
+def live(calibration: Calibration, tmp_path: Path) -> Iterator[Live]:
+    before = set(threading.enumerate())  # an app that a test let crash leaves its threads
+    made = Live(calibration, tmp_path)
+    yield made
+    made.recorder.stop(patience(20))
+    assert set(threading.enumerate()) <= before
+
+
+def frames(count: int, first: int = 0) -> list[Frame]:
+    return [Frame(k, 1000 + k, 5 + k, (FREE, TOUCHED)[k % 2]) for k in range(first, first + count)]
+
+
+def test_what_was_captured_between_start_and_end_is_there(live: Live) -> None:
+    live.give(*frames(1))
+    live.begin()
+    live.give(*frames(5, 1))
+    live.recorder.event("source", state="away")
+    live.recorder.end(STOPPED)
+    live.give(*frames(1, 6))
+    status = live.ended()
+    assert (status["state"], status["frames"], status["dropped"], status["ending"]) == (
+        "idle",
+        5,
+        0,
+        "stopped",
+    )
+    rows = read_table(live.folder / "frames.csv")
+    assert [row.t_ns for row in rows] == [1001, 1002, 1003, 1004, 1005]
+    assert status["bytes"] == sum((live.folder / row.image).stat().st_size for row in rows)
+    recording = Recording(live.folder)
+    for frame in frames(5, 1):
+        read = recording.read()
+        assert read is not None
+        np.testing.assert_array_equal(read.frame.image, frame.image)
+    assert [(event["kind"], event["data"]) for event in live.events()] == [
+        ("source", {"state": "away"})
+    ]
+    about = live.about()
+    assert (about["ending"], about["first_t_ns"], about["first_wall_ns"], about["version"]) == (
+        "stopped",
+        1001,
+        6,
+        "1",
+    )
+    assert live.recorder.health() == {"written": 5, "dropped": 0, "waiting": 0}
+    assert live.written == [""]
+
+
+def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
+    live.begin(0.05)
+    live.give(*frames(2), Frame(2, 2**61, 0, FREE))
+    status = live.ended()
+    assert (status["frames"], status["ending"]) == (2, str(TIME))
+
+
+def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, writing = threading.Event(), threading.Event()
+    real = live_recorder.RecordingWriter.add
+
+    def slow(self: live_recorder.RecordingWriter, frame: Frame, png: bytes) -> bool:
+        writing.set()
+        assert go_on.wait(patience(20))
+        return real(self, frame, png)
+
+    monkeypatch.setattr(live_recorder.RecordingWriter, "add", slow)
+    monkeypatch.setattr(live.recorder._queue, "_limit", 3 * FREE.nbytes)
+    live.begin()
+    live.give(*frames(1))
+    assert writing.wait(patience(20))
+    live.give(*frames(7, 1))  # the first is in the writer's hands, three wait
+    assert live.recorder.health() == {"written": 0, "dropped": 4, "waiting": 4}
+    live.recorder.event("still there")
+    go_on.set()
+    live.recorder.end(STOPPED)
+    status = live.ended()
+    assert (status["frames"], status["dropped"], live.about()["dropped"]) == (4, 4, 4)
+    assert live.events()[0]["kind"] == "still there"
+
+
+def test_another_reference_ends_it_another_profile_does_not(
+    live: Live, calibration: Calibration
+) -> None:
+    live.begin()
+    live.give(*frames(2))
+    live.recorder.reconstructs_with("paper", calibration.crc32)
+    live.give(*frames(2, 2))
+    live.recorder.reconstructs_with("paper", 77)
+    live.give(*frames(2, 4))
+    status = live.ended()
+    assert (status["state"], status["frames"], status["ending_code"]) == (
+        "stopped",
+        4,
+        "calibration_changed",
+    )
+    assert [event["data"]["calibration_crc32"] for event in live.events()] == [
+        calibration.crc32,
+        77,
+    ]
+
+
+def test_one_at_a_time_and_no_folder_twice(live: Live) -> None:
+    live.begin()
+    with pytest.raises(DeviceError, match=r"busy: already recording to .*one"):
+        live.begin(name="two")
+    live.recorder.end(STOPPED)
+    live.ended()
+    with pytest.raises(
+        ConfigError, match=r"one: already exists, expected the name of a new folder"
+    ):
+        live.begin()
+    live.begin(name="two")
+    live.recorder.end(STOPPED)
+    assert live.ended()["folder"].endswith("two")
+
+
+def test_a_disk_that_comes_to_its_floor_ends_it(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = threading.Event()
+    real = live_recorder.RecordingWriter.add
+    monkeypatch.setattr(
+        live_recorder.RecordingWriter,
+        "add",
+        lambda self, *shot: not full.is_set() and real(self, *shot),
+    )
+    live.begin()
+    live.give(*frames(2))
+    live.until(written=2)
+    full.set()
+    live.give(*frames(3, 2))
+    status = live.ended()
+    assert (status["state"], status["reason"]) == ("stopped", "less than 256 MiB free on the disk")
+    assert status["frames"] == len(read_table(live.folder / "frames.csv")) == 2
+    assert 1 <= status["dropped"] <= 3  # what came after the end is not its own
+    assert live.about()["ending_code"] == "disk_full"
+    monkeypatch.setattr("tacshade_edge.files.atomic_files.FREE_FLOOR_BYTES", 2**62)
+    with pytest.raises(DeviceError, match=r"recs: found \d+ MiB free on the disk, expected"):
+        live.begin(name="two")
+    assert live.recorder.tap is None
+
+
+def _folder_gone(folder: Path) -> None:
+    os.rename(folder, folder.with_name("moved"))
+
+
+def _folder_is_a_file(folder: Path) -> None:
+    _folder_gone(folder)
+    folder.touch()
+
+
+@pytest.mark.parametrize("happen", [_folder_gone, _folder_is_a_file])
+def test_a_folder_that_goes_away_ends_it_with_its_error(
+    live: Live, happen: Callable[[Path], None]
+) -> None:
+    live.begin()
+    live.give(*frames(1))
+    live.until(written=1)
+    happen(live.folder)
+    live.give(*frames(1, 1))
+    status = live.ended()
+    assert (status["frames"], status["dropped"], status["reason_code"]) == (1, 1, "disk")
+    assert re.search(r"/one.*: cannot write it: ", status["reason"])
+    left = Recording(live.folder.with_name("moved"))
+    assert left.cut_off
+    assert left.read() is not None
+    assert left.read() is None
+
+
+def now(count: int, first: int = 0) -> list[Frame]:
+    return [replace(frame, t_ns=time.monotonic_ns()) for frame in frames(count, first)]
+
+
+def keep(live: Live, pre_roll_s: float) -> None:
+    live.recorder.settings_changed(Settings(recorder=SettingsOfRecorder(pre_roll_s=pre_roll_s)))
+
+
+def written(folder: Path) -> list[int]:
+    """Capture times; the images are the painted pictures in turn."""
+    recording, times_ns = Recording(folder), list[int]()
+    while (read := recording.read()) is not None:
+        np.testing.assert_array_equal(read.frame.image, (FREE, TOUCHED)[len(times_ns) % 2])
+        times_ns.append(read.frame.t_ns)
+    return times_ns
+
+
+def test_a_recording_begins_with_what_was_before(live: Live, calibration: Calibration) -> None:
+    live.recorder.reconstructs_with("fast", calibration.crc32)
+    keep(live, 30.0)
+    too_old = replace(frames(1)[0], t_ns=time.monotonic_ns() - 40 * 10**9)
+    before = now(4)
+    live.give(too_old, *before)
+    live.recorder.event("source", state="away")
+    live.until(pre_roll=4)
+    live.begin()
+    live.recorder.event("start")
+    after = now(3, 4)
+    live.give(*after)
+    live.recorder.end(STOPPED)
+    status = live.ended()
+    assert (status["frames"], status["dropped"], status["ending"]) == (7, 0, "stopped")
+    assert written(live.folder) == [frame.t_ns for frame in (*before, *after)]
+    assert [event["kind"] for event in live.events()] == ["source", "start"]
+    assert before[-1].t_ns < live.events()[1]["t_ns"] < after[0].t_ns
+    assert live.about()["first_t_ns"] == before[0].t_ns
+    live.until(written=7, dropped=0, waiting=0, pre_roll=0, pre_roll_dropped=0)
+    live.give(*now(2))  # what a recording has is not kept for the next one
+    live.until(pre_roll=2)
+    keep(live, 0.0)
+    assert live.recorder.tap is None
+
+
+def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = len(png_of(FREE)) + len(png_of(TOUCHED))
+    monkeypatch.setattr(live_recorder, "PRE_ROLL_BYTES", 2 * size)
+    keep(live, 30.0)
+    given = now(10)
+    live.give(*given)
+    live.until(pre_roll_dropped=6, pre_roll=4)
+    live.begin()
+    live.recorder.end(STOPPED)
+    assert live.ended()["dropped"] == 0
+    assert written(live.folder) == [frame.t_ns for frame in given[6:]]
+    assert live.recorder.health()["pre_roll_dropped"] == 6
+
+
+def test_frames_of_another_reference_are_not_before(live: Live, calibration: Calibration) -> None:
+    live.recorder.reconstructs_with("fast", 77)
+    keep(live, 30.0)
+    live.give(*now(3))
+    live.until(pre_roll=3)
+    live.recorder.reconstructs_with("accurate", 77)
+    live.recorder.reconstructs_with("accurate", calibration.crc32)
+    after = now(2)
+    live.give(*after)
+    live.until(pre_roll=2)
+    live.begin()
+    live.recorder.end(STOPPED)
+    live.ended()
+    assert written(live.folder) == [frame.t_ns for frame in after]
+
+
+def test_a_recording_in_mcap(live: Live) -> None:
+    pytest.importorskip("mcap")
+    pytest.importorskip("foxglove_schemas_protobuf")
+    live.begin(make=partial(McapRecorder, sensor_id="a"))
+    live.give(*frames(6))
+    live.recorder.end(STOPPED)
+    status = live.ended()
+    assert (status["frames"], status["dropped"], status["ending"]) == (6, 0, "stopped")
+    assert written(live.folder) == [1000, 1001, 1002, 1003, 1004, 1005]

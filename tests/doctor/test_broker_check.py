@@ -1,0 +1,250 @@
+"""A real mosquitto, and what else may stand at its address."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.hostile_broker import HostileBroker
+
+from tacshade_edge.doctor import Finding, ok
+from tacshade_edge.doctor.broker_check import (
+    DaemonState,
+    check_broker,
+    judge_daemon,
+    judge_round_trip,
+)
+from tacshade_edge.doctor.machine import Process
+from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from tools.testbed.patience import wait_until
+
+BASE = "tacshade/left"
+broker_test = pytest.mark.broker
+
+
+def on_mosquitto(test: Any) -> Any:
+    missing = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+    return broker_test(missing(test))
+
+
+def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
+    asked: Any = {
+        "host": "127.0.0.1",
+        "port": port,
+        "username": None,
+        "password": None,
+        "tls_ca": None,
+    } | options
+    findings, daemon = check_broker(asked, "left")
+    assert all(bool(finding.fix) == (finding.state != "ok") for finding in findings)
+    return {finding.check: finding for finding in findings}, daemon
+
+
+def trouble(port: int, **options: Any) -> Finding:
+    """The one fault of a broker that cannot be used."""
+    findings, daemon = ask(port, **options)
+    assert daemon == DaemonState()
+    assert [finding.state for finding in findings.values()] == ["fault"]
+    return findings["broker"]
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.socket() as made:
+        made.bind(("127.0.0.1", 0))
+        made.listen()
+        yield made
+
+
+def test_nothing_listens() -> None:
+    port = free_port()
+    finding = trouble(port)
+    assert finding.found == f"127.0.0.1:{port}: connection refused: nothing is listening"
+    assert "sudo systemctl enable --now mosquitto" in finding.fix
+    assert "(mosquitto: `listener`)" in trouble(port, host="127.0.0.2").fix, (
+        "another machine's broker is started there"
+    )
+    assert trouble(1883, host="no-such-broker.invalid").fix.endswith(
+        "getent hosts no-such-broker.invalid"
+    )
+
+
+@broker_test  # for its seconds of waiting
+def test_a_port_that_says_nothing(listener: socket.socket) -> None:
+    finding = trouble(listener.getsockname()[1])
+    assert finding.found.endswith(
+        "accepts connections but does not answer, so it is not an MQTT broker"
+    )
+
+
+@on_mosquitto
+def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
+        findings, daemon = ask(broker.port)
+        assert findings["broker"].state == "ok"
+        assert findings["broker round trip"].found.startswith(
+            "a 38 KB message made the round trip in "
+        )
+        assert daemon == DaemonState()
+        wait_until(
+            lambda: len(seen.of(f"{BASE}/doctor")) >= 6, 5, "the messages that it sent to itself"
+        )
+    assert {(message.topic, message.retain) for message in seen.messages} == {
+        (f"{BASE}/doctor", False)
+    }
+
+
+@on_mosquitto
+def test_a_daemon_on_it(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as other:
+        for name, payload in (
+            ("state", b"degraded"),
+            ("health", json.dumps({"delivered_fps": 12.5}).encode()),
+            ("status/camera", json.dumps({"state": "away", "reason": "no such device"}).encode()),
+        ):
+            other.publish(f"{BASE}/{name}", payload, retain=True)
+            other.wait_for(f"{BASE}/{name}")
+        assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 12.5)
+        other.publish(f"{BASE}/health", b"\xff{", retain=True)
+        other.wait_for(f"{BASE}/health", 2)
+        assert ask(broker.port)[1] == DaemonState("degraded", "no such device", 0.0)
+        for name, process in (("instance", 7), ("status/rival", 8)):
+            other.publish(
+                f"{BASE}/{name}",
+                json.dumps({"host": "bench", "process": process}).encode(),
+                retain=True,
+            )
+            other.wait_for(f"{BASE}/{name}")
+        daemon = ask(broker.port)[1]
+        assert (daemon.place, daemon.rival) == ("on bench, process 7", "on bench, process 8")
+
+
+SHIPPED = (Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text()
+
+
+@on_mosquitto
+@pytest.mark.parametrize(
+    ("rules", "username", "state", "fix"),
+    [
+        ("user hand\ntopic readwrite tacshade/#\n", "hand", "ok", ""),
+        (f"user hand\ntopic read {BASE}/#\n", "hand", "fault", "user hand, then topic readwrite"),
+        (SHIPPED, "hand", "fault", "topic readwrite"),  # another name than the sensor's
+        ("topic write tacshade/#\n", None, "fault", "topic readwrite"),  # it must not be read
+    ],
+)
+def test_access_rules(
+    tmp_path: Path, rules: str, username: str | None, state: str, fix: str
+) -> None:
+    file = tmp_path / "acl"
+    file.touch(0o600)
+    file.write_text(rules)
+    users = {"hand": "right"} if username else {}
+    with Broker(tmp_path, users=users or None, more=(f"acl_file {file}",)) as broker:
+        trip = ask(broker.port, username=username, password=users.get("hand"))[0][
+            "broker round trip"
+        ]
+    assert trip.state == state
+    assert fix in trip.fix
+
+
+@on_mosquitto
+def test_users(tmp_path: Path) -> None:
+    with Broker(tmp_path, users={"hand": "right"}) as broker:
+        wrong = trouble(broker.port, username="hand", password="wrong")
+        assert wrong.fix.endswith("/etc/mosquitto/tacshade.passwd hand")
+        assert "mqtt.username" in trouble(broker.port).fix
+
+
+@on_mosquitto
+@pytest.mark.parametrize(
+    ("option", "found"),
+    [
+        ("max_packet_size 20000", "at most 20000 bytes"),
+        ("message_size_limit 10000", "a message of 38000 bytes"),
+    ],
+)
+def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, found: str) -> None:
+    with Broker(tmp_path, more=(option,)) as broker:
+        small = ask(broker.port)[0]["broker round trip"]
+    assert small.state == "warning"
+    assert found in small.found
+    assert "message_size_limit" in small.fix
+
+
+def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
+    with HostileBroker(bytes_max=5000, echo=True) as broker:
+        assert ask(broker.port)[0]["broker round trip"].state == "warning"
+
+
+@on_mosquitto
+def test_tls(tmp_path: Path) -> None:
+    for name in ("ours", "theirs"):
+        (tmp_path / name).mkdir()
+    other = Broker(tmp_path / "theirs", tls=True)
+    with Broker(tmp_path / "ours", tls=True) as broker:
+        good, _ = ask(broker.port, tls_ca=str(broker.ca))
+        assert good["broker"].state == "ok"
+        wrong = trouble(broker.port, tls_ca=str(other.ca))
+        assert wrong.fix.startswith("is mqtt.ca_file the PEM file")
+        assert good["broker round trip"].state != "fault"
+        named = trouble(broker.port, tls_ca=str(broker.ca), host="127.1")
+        assert "is 127.1 a name in it (subjectAltName)" in named.fix
+        assert "set mqtt.ca_file" in trouble(broker.port).fix
+    with Broker(tmp_path / "theirs") as broker:
+        assert (
+            "omit mqtt.ca_file" in trouble(broker.port, tls_ca=str(tmp_path / "ours/cert.pem")).fix
+        )
+
+
+@pytest.mark.parametrize(
+    ("daemon", "running", "state", "found"),
+    [
+        (DaemonState(), False, "ok", "not running"),
+        (DaemonState("stopped"), False, "ok", "not running"),
+        (
+            DaemonState("online", fps=29.9),
+            True,
+            "ok",
+            "process 5 (tacshade-edge run): online, 29.9 frames/s",
+        ),
+        (
+            DaemonState("degraded", "no device", 0.0),
+            True,
+            "warning",
+            "degraded, 0.0 frames/s, no device",
+        ),
+        (
+            DaemonState("online"),
+            False,
+            "warning",
+            "no daemon is running here, yet left is online on this broker",
+        ),
+        (
+            DaemonState("online", place="on a", rival="on b"),
+            True,
+            "warning",
+            "one is running on a, and the other is waiting on b",
+        ),
+        (DaemonState("offline"), True, "warning", "left is not online at the broker"),
+    ],
+)
+def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) -> None:
+    finding = judge_daemon(
+        daemon, Process(5, ("tacshade-edge", "run")) if running else None, "left"
+    )
+    assert finding.state == state
+    assert found in finding.found
+    assert bool(finding.fix) == (state != "ok")
+
+
+def test_a_slow_round_trip() -> None:
+    assert judge_round_trip(1.2) == ok(
+        "broker round trip", "a 38 KB message made the round trip in 1.2 ms"
+    )
+    slow = judge_round_trip(41)
+    assert slow.state == "warning"
+    assert slow.fix.startswith("add `set_tcp_nodelay true`")

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.published_sensor import unmeasured
+
+from tacshade_edge.files.drawing import (
+    BAR_WIDTH_PX,
+    LEFT_PX,
+    RIGHT_PX,
+    SHEET_COLUMNS,
+    TILE_PX,
+    contact_sheet,
+    tile,
+)
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.types import U8, Frame, Reconstruction
+from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+
+
+def result_of(image: U8) -> Reconstruction:
+    return make_reconstructor(painted_calibration(), PROFILES["fast"]).step(Frame(0, 0, 0, image))
+
+
+@pytest.mark.slow
+def test_a_contact_sheet_has_every_map_in_the_same_colours() -> None:
+    images = [FREE, TOUCHED, BLACK, np.dstack([TOUCHED] * 3), FREE]
+    tiles = [tile(f"{k}", image, result_of(image)) for k, image in enumerate(images)]
+    free, touched, *others = (each.text.partition(": ")[2] for each in tiles)
+    assert (free, others) == ("no contact", ["black", touched, "no contact"])
+    assert touched.endswith(" mm")
+    sheet = contact_sheet(tiles)
+    bar_px = LEFT_PX + BAR_WIDTH_PX + RIGHT_PX
+    high, wide = (sheet.shape[0] // 2, (sheet.shape[1] - bar_px) // SHEET_COLUMNS)
+    maps = [
+        sheet[(k // SHEET_COLUMNS) * high :][:high, (k % SHEET_COLUMNS) * wide + TILE_PX :][
+            :, :TILE_PX
+        ]
+        for k in range(5)
+    ]
+    np.testing.assert_array_equal(maps[1][: high // 2], maps[3][: high // 2])
+    deep = [
+        ((map_[..., 2] > 200) & (map_[..., 0] < 100)).any() for map_ in maps
+    ]  # the scale's yellow end
+    assert deep == [False, True, False, True, False]
+
+
+def test_a_touch_of_unknown_depth_is_named_on_the_sheet() -> None:
+    lost = unmeasured(1)
+    image = np.zeros((480, 640), np.uint8)
+    assert tile("one", image, lost).text == "one: touched, depth unknown"
+    assert tile("one", image, replace(lost, touched=False)).text == "one: no contact"

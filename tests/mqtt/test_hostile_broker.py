@@ -1,0 +1,101 @@
+"""No message of a broker ends a client's thread:
+daemon, bridges, requests, library and the client's wheel.
+"""
+
+from __future__ import annotations
+
+import pytest
+import tacshade_client as tc
+from support.hostile_broker import BAD, BAD_TOPICS, HostileBroker, publish
+from support.link_rig import BASE, Rig
+from support.published_sensor import CRC, bump
+
+import tacshade_edge as ts
+from tacshade_edge.bridge.prometheus import SensorMetrics
+from tacshade_edge.mqtt.caller import MqttCaller
+from tacshade_edge.mqtt.client import BrokerAddress
+from tacshade_edge.mqtt.follower import Follower
+from tacshade_edge.wire import binary, messages
+from tacshade_edge.wire.requests import Request
+from tools.testbed.patience import patience, wait_until
+
+HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
+
+
+def address(port: int) -> BrokerAddress:
+    return BrokerAddress(host="127.0.0.1", port=port, username=None, password=None, tls_ca=None)
+
+
+def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes() -> None:
+    after = publish(f"{BASE}/req/status".encode(), b"{}")
+    with HostileBroker(BAD, after, extra_codes=3) as broker:
+        rig = Rig(broker.port).connect()
+        assert rig.requests.get(timeout=patience(5)) == Request("status")
+        assert rig.link.counters()["bad_requests"] == len(BAD_TOPICS)
+        assert rig.link.connected
+        assert broker.connects == 2  # the guard of the client's id is the first
+        rig.link.stop(2)
+
+
+def test_a_bridge_hears_what_follows() -> None:
+    sensors = SensorMetrics([])
+    with HostileBroker(BAD, publish(b"tacshade/a/state", b"online"), extra_codes=1) as broker:
+        follower = Follower(address(broker.port), sensors.hear)
+        follower.follow(sensors.topics)
+        follower.start()
+        wait_until(lambda: metrics(sensors).get(("a", "online")) == 1, 5, "the state")
+        assert metrics(sensors)["unknown_topic",] == len(BAD_TOPICS)
+        follower.stop()
+
+
+def metrics(sensors: SensorMetrics) -> dict[tuple[str, ...], float]:
+    return {
+        tuple(s.labels.values()): s.value for family in sensors.collect() for s in family.samples
+    }
+
+
+def test_a_caller_hears_what_follows() -> None:
+    with HostileBroker(BAD, publish(b"tacshade/a/state", b"online"), extra_codes=1) as broker:
+        caller = MqttCaller(address(broker.port), sensor_id="a", verb="status", watched=("state",))
+        caller.start()
+        assert caller.wait_for(lambda: caller.latest("state") == b"online", patience(5))
+        caller.stop()
+
+
+@pytest.mark.slow
+def test_the_library_hears_what_follows() -> None:
+    contact = messages.encode_contact(bump(7, 0.0, 236.0, 328.0, step_px=8), fps=60.0)
+    info = messages.encode_info(version="0", config_digest="0", profile="fast", calibration=None)
+    raw = BAD + publish(b"tacshade/a/info", info) + publish(b"tacshade/a/contact", contact)
+    with (
+        HostileBroker(raw, publish(b"tacshade/a/state", b"degraded"), extra_codes=1) as broker,
+        ts.listen(f"127.0.0.1:{broker.port}", "a") as results,
+    ):
+        with pytest.raises(ts.DeviceError, match="degraded"):
+            next(results)
+        assert results.refused == len(BAD_TOPICS)
+
+
+def test_the_client_counts_it_and_hears_what_follows() -> None:
+    empty = binary.HEAD.pack(
+        *binary.HEAD.unpack_from(HEIGHT)[:9], 0, 0, *binary.HEAD.unpack_from(HEIGHT)[11:23], 0
+    )
+    raw = BAD, publish(b"tacshade/a/height", empty), publish(b"tacshade/a/state", b"online")
+    with (
+        HostileBroker(*raw, extra_codes=1) as broker,
+        tc.listen(f"127.0.0.1:{broker.port}", "a", ["state", "height"]) as heard,
+    ):
+        message = heard.get(patience(5))
+        assert message is not None
+        assert message.value == "online"
+        assert (
+            heard.refused == len(BAD_TOPICS) - 4 + 1
+        )  # four are below tacshade/, as those that were unsubscribed
+
+
+def test_a_dead_thread_of_the_client_raises_in_get(monkeypatch: pytest.MonkeyPatch) -> None:
+    with HostileBroker() as broker, tc.listen(f"127.0.0.1:{broker.port}", "a", ["state"]) as heard:
+        monkeypatch.setattr(heard, "_numbers", None)  # a defect of ours: receiving raises
+        broker.send(publish(b"tacshade/a/state"))
+        with pytest.raises(tc.DeviceError, match="receiving ended"):
+            heard.get(patience(5))
