@@ -18,7 +18,8 @@ from tacshade_edge.robot.pose import POSE_BYTES, decode_pose
 Mode = Literal["ASCII", "BIN"]
 
 FRAME_BYTES_MAX: Final = LINE_BYTES_MAX + 3  # COBS of "L" and the longest line
-_BLOCK: Final = 254  # bytes after a code of 255, which stands for no zero
+_FULL_BLOCK: Final = 255  # this code alone stands for no zero
+_BLOCK: Final = _FULL_BLOCK - 1  # bytes after it
 _POSE_FRAME_BYTES: Final = POSE_BYTES + 1  # COBS of a pose, without its zero
 _LINE_END = re.compile(rb"[\r\n]")
 # A HELLO among frames, but not inside one, where an L precedes the line; by chance 2^-56 per byte.
@@ -34,7 +35,7 @@ def cobs_encode(data: bytes) -> bytes:
     for number, run in enumerate(runs, 1):
         at = 0
         while len(run) - at >= _BLOCK:
-            out.append(255)
+            out.append(_FULL_BLOCK)
             out += run[at : at + _BLOCK]
             at += _BLOCK
         if (
@@ -62,7 +63,7 @@ def cobs_decode(data: bytes) -> bytes:
             )
         out += data[at + 1 : at + code]
         at += code
-        if code != 255 and at < end:
+        if code != _FULL_BLOCK and at < end:
             out.append(0)
     return bytes(out)
 

@@ -16,6 +16,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 LINE_BYTES_MAX: Final = 256
 SEQ_MODULO: Final = 1 << 16
 
+_PRINTABLE: Final = bytes(range(ord(" "), ord("~") + 1))
 _HEAD = re.compile(r"(?:#(\S*) +)?(\S+) *(.*)")
 
 
@@ -56,7 +57,7 @@ def parse_line(raw: bytes) -> Line | Reason:
 
     Reasons: NOT_A_LINE (not printable, too long), BAD_CHECKSUM, BAD_SYNTAX.
     """
-    if len(raw) >= LINE_BYTES_MAX or not all(32 <= byte < 127 for byte in raw):
+    if len(raw) >= LINE_BYTES_MAX or raw.translate(None, _PRINTABLE):
         return Reason(
             ReasonCode.NOT_A_LINE,
             (

@@ -18,6 +18,7 @@ POSES_BEHIND: Final = (
     64  # a pose up to this far behind is a repeat; an older number restarts the count
 )
 
+_VALUES: Final = 8  # of a POSE line: the time, and `PoseValues`
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _TIME = re.compile(r"\d{1,19}")
 _POSE = struct.Struct("<cHQ7f")
@@ -51,9 +52,9 @@ def parse_time(text: str) -> int:
 
 def parse_pose(line: Line) -> PoseSample:
     """Parse the arguments of ``POSE``. Raises DecodeError."""
-    if len(line.args) != 8:
+    if len(line.args) != _VALUES:
         raise DecodeError(
-            f"found {len(line.args)} values, expected the 8 values t x y z qw qx qy qz"
+            f"found {len(line.args)} values, expected the {_VALUES} values t x y z qw qx qy qz"
         )
     t_ns = parse_time(line.args[0])
     wrong = next((text for text in line.args[1:] if not _NUMBER.fullmatch(text)), None)

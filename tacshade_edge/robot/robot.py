@@ -22,18 +22,16 @@ import msgspec
 from tacshade_edge.pipeline.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult, Reply
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.port import SerialPort
-from tacshade_edge.robot.serial_line import (
+from tacshade_edge.robot.robot_motion import (
     ClockExchanged,
     Heard,
-    LineState,
-    PortState,
     PoseHeard,
     RobotMotion,
     RobotRestarted,
-    SerialChannel,
-    SerialCommands,
-    TouchEvents,
 )
+from tacshade_edge.robot.serial_commands import SerialCommands
+from tacshade_edge.robot.serial_line import LineState, PortState, SerialChannel
+from tacshade_edge.robot.touch_events import TouchEvents
 from tacshade_edge.settings import Document
 from tacshade_edge.types import Frame, Need
 from tacshade_edge.wire.messages import encode_status

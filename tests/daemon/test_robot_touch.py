@@ -18,7 +18,7 @@ from tacshade_edge.robot.framing import cobs_decode, cobs_encode
 from tacshade_edge.robot.line import seal
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot
-from tacshade_edge.robot.serial_line import TouchEvents
+from tacshade_edge.robot.touch_events import TouchEvents
 from tacshade_edge.robot.verbs import TouchAsked, object_text
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, Touch
 from tacshade_edge.wire.results import TouchSwitched

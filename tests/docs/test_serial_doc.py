@@ -22,8 +22,8 @@ import pytest
 from tacshade_edge.robot.framing import LinkCounts
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot
-from tacshade_edge.robot.serial_line import TouchEvents
 from tacshade_edge.robot.serial_link import SerialLink
+from tacshade_edge.robot.touch_events import TouchEvents
 from tacshade_edge.robot.verbs import USAGE
 from tacshade_edge.types import QUANTITIES
 from tools.examples.serial.host import Daemon

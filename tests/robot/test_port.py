@@ -99,9 +99,9 @@ def test_what_cannot_be_opened(device: str, error: type[Exception], why: str) ->
 @pytest.mark.slow
 def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:
     code = (
-        "import sys; import tacshade_edge.daemon.app; from tacshade_edge.camera.sources import "
-        "make_serial_port;assert make_serial_port(None) is None;print([m for m in sys.modules if "
-        "m.split('.')[0] in ('serial', 'scipy') or 'robot' in m])"
+        "import sys; import tacshade_edge.daemon.app; from tacshade_edge.robot.ports import "
+        "make_serial_port; assert make_serial_port(None) is None; print([m for m in sys.modules if "
+        "m.split('.')[0] in ('serial', 'scipy') or m == 'tacshade_edge.robot.robot'])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path

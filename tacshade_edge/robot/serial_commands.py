@@ -1,0 +1,139 @@
+"""The robot's commands on their way from the serial thread to whoever carries them out,
+and their answers on the way back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from tacshade_edge.pipeline.observer import FrameWaiters, Reply
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.robot_motion import ClockExchanged, RobotMotion
+from tacshade_edge.robot.serial_link import SerialLink
+from tacshade_edge.robot.touch_events import TouchEvents
+from tacshade_edge.robot.verbs import Command, parse_touch
+from tacshade_edge.types import Frame, Reconstruction
+from tacshade_edge.wire.requests import Request
+from tacshade_edge.wire.results import ClockRead, FrameCaptured, LineStatus, SerialResult
+
+TOLD_MAX = 16
+
+
+@dataclass(slots=True, eq=False)
+class SerialCommands:
+    """Carries out each command once and answers it once;
+    they arrive in the serial thread, any thread answers them.
+    """
+
+    motion: RobotMotion
+    on_request: Callable[[Request, Reply], None]  # starts what the main thread does
+    state: Callable[[], dict[str, Any]]
+    missing: Callable[[], Reason | None]
+    wake: Callable[[], None]  # called when an answer waits to be sent
+    touch: TouchEvents
+    # BEGIN, ADD, END, ABORT or STATUS, and a name. None without sessions, which are made after the
+    # robot, since they ask it for poses.
+    stitch: Callable[[str, str, Reply], None] | None = None
+    _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(
+        default_factory=SimpleQueue
+    )
+    _told: deque[str] = field(default_factory=partial(deque, maxlen=TOLD_MAX))
+    _captures: FrameWaiters = field(
+        default_factory=partial(FrameWaiters, "captures are already waiting")
+    )
+
+    def handle(self, command: Command, link: SerialLink) -> None:
+        """Start a command; called in the serial thread."""
+        if command.verb == "SYNC":
+            # Answered in this thread, at once: what passes between the two readings of the clock
+            # is part of the round trip, and so of the error of every pose's time.
+            t1_ns, *rest = map(int, command.args)
+            t3_ns = time.monotonic_ns()
+            link.answer(command, ClockRead(command.arrived_ns, t3_ns))
+            self.motion.hear(
+                ClockExchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None)
+            )
+        elif command.verb == "STATUS":
+            link.answer(command, self._status(link))
+        elif (missing := self.missing()) is not None:
+            # The verbs above need no calibration: clock and poses are ready when one appears.
+            link.answer(command, missing)
+        elif command.verb == "TOUCH":
+            link.answer(command, self.touch.switch(parse_touch(command.args)))
+        elif command.verb == "CAPTURE":
+            self._captures.put(command.arrived_ns, partial(self._answer, command))
+        elif command.verb == "REFERENCE":
+            self.on_request(Request("reference"), partial(self._answer, command))
+        elif command.verb == "STITCH" and self.stitch is not None:
+            action, *name = command.args
+            self.stitch(action, name[0] if name else "", partial(self._answer, command))
+        else:
+            text = f"this daemon is not ready to {command.verb.lower()}"
+            link.answer(command, Reason(ReasonCode.UNAVAILABLE, text))
+
+    def tell(self, event: str) -> None:
+        """Send an event to the robot; with `TOLD_MAX` waiting, the oldest is dropped."""
+        self._told.append(event)
+        self.wake()
+
+    def send_answers(self, link: SerialLink) -> None:
+        """Give the link the answers and events since the last call; called in the serial thread."""
+        # Only this thread removes, so one that was seen is still there; a full deque drops its
+        # oldest itself, and neither side needs a lock.
+        while self._told:
+            link.notify(self._told.popleft())
+        self._captures.expire(time.monotonic_ns())
+        while True:
+            try:
+                command, outcome = self._answers.get_nowait()
+            except Empty:
+                return
+            link.answer(command, outcome)
+
+    @property
+    def capture_pending(self) -> bool:
+        return len(self._captures) > 0
+
+    def observe(self, frame: Frame, result: Reconstruction) -> None:
+        """Answer the captures that arrived before this frame was taken."""
+        for answer in self._captures.take(frame.t_ns):
+            answer(_captured(frame, result))
+
+    def _answer(self, command: Command, outcome: SerialResult | Reason) -> None:
+        self._answers.put((command, outcome))
+        self.wake()
+
+    def _status(self, link: SerialLink) -> LineStatus:
+        state, sync, counts = self.state(), self.motion.state(), link.counts
+        return LineStatus(
+            camera=state["source"],
+            fps=state["health"].get("delivered_fps", 0),
+            sync=sync.mode,
+            error_us=sync.error_us,
+            drift_ppm=sync.drift_ppm,
+            poses=counts.poses,
+            lost=counts.poses_lost,
+            damaged=counts.damaged,
+            garbage=counts.garbage,
+        )
+
+
+def _captured(frame: Frame, result: Reconstruction) -> FrameCaptured | Reason:
+    if not result.valid:
+        return Reason(ReasonCode.FRAME_INVALID, f"frame={result.seq}: {result.reason}")
+    return FrameCaptured(
+        frame=result.seq,
+        t_ns=result.t_ns,
+        contact=result.contact,
+        depth_mm=None if result.touched else result.depth_max_mm,
+        area_mm2=None if result.touched else sum(o.area_mm2 for o in result.objects),
+        objects=len(result.objects),
+        pose_error_us=None if frame.pose is None else frame.pose_error_us,
+        touched=result.touched,
+    )
