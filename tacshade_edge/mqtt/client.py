@@ -8,9 +8,10 @@ import socket
 import ssl
 import sys
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any, Final, TypedDict
 
-from paho.mqtt.client import PUBACK, Client, MQTTMessage
+from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -22,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 PACKET_TOO_LARGE: Final = 0x95
 """Reason code of MQTT 5."""
-_UNSPECIFIED: Final = 0x80
+_REASON_CODES: Final = 256  # of one byte
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
 _CONNECT_TIMEOUT_S: Final = 3.0
@@ -56,7 +57,6 @@ class BrokerSession(Client):
     """
 
     refused = 0
-    _unknown_code: int | None = None
 
     def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
         """Hand every message to `on_message` with its topic,
@@ -67,7 +67,7 @@ class BrokerSession(Client):
 
         def enter(_client: Client, _userdata: Any, message: MQTTMessage) -> None:
             try:
-                on_message(message._topic.decode(errors="replace"), message)  # `topic` raises
+                on_message(topic_of(message), message)
             except DecodeError as error:
                 if not self.refused:
                     _log.warning(
@@ -87,28 +87,9 @@ class BrokerSession(Client):
         def enter(
             _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any
         ) -> None:
-            value, self._unknown_code = self._unknown_code, None
-            if value is not None:
-                name = "Packet too large" if value == PACKET_TOO_LARGE else f"reason code {value}"
-                code.value, code.names = value, {value: {name: [PacketTypes.PUBACK]}}
             on_answer(mid, code)
 
         self.on_publish = enter
-
-    def _packet_handle(self) -> MQTTErrorCode:
-        """Replace a reason code that paho does not expect in a PUBACK:
-        it would end the connection.
-        """
-        body: bytearray = self._in_packet["packet"]
-        if self._in_packet["command"] & 0xF0 == PUBACK and len(body) > 2:
-            try:
-                ReasonCode(PacketTypes.PUBACK, identifier=body[2])
-            except (KeyError, ValueError):
-                self._unknown_code, body[2] = body[2], _UNSPECIFIED
-        try:
-            return super()._packet_handle()
-        finally:
-            self._unknown_code = None
 
     def step(self, timeout_s: float) -> bool:
         """Send and receive once; False without a connection.
@@ -129,6 +110,29 @@ class BrokerSession(Client):
         self.loop_stop()
 
 
+def topic_of(message: MQTTMessage) -> str:
+    """Return the topic of a message, where U+FFFD replaces what is not UTF-8."""
+    try:
+        return message.topic
+    except UnicodeDecodeError as error:  # the only public way to the bytes
+        return error.object.decode(errors="replace")
+
+
+def _accept_any_answer() -> None:
+    """Make paho accept every reason code in a PUBACK."""
+    # paho ends the connection for a code that its table does not list for the packet. mosquitto
+    # answers a message above its limit with 0x95, which MQTT 5 lists for CONNACK and DISCONNECT
+    # only: every large message would cost a connection. The table is public, and of the process;
+    # other clients in it accept more codes then, and no fewer.
+    names = dict(ReasonCode.names)
+    for value in range(_REASON_CODES):
+        known = names.get(value, {})
+        if not any(PacketTypes.PUBACK in packets for packets in known.values()):
+            name = next(iter(known), f"reason code {value}")
+            names[value] = {**known, name: [*known.get(name, ()), PacketTypes.PUBACK]}
+    ReasonCode.names = MappingProxyType(names)
+
+
 def connect_failure() -> tuple[BaseException | None, str]:
     """Return the error of a failed connection and its text, in `on_connect_fail`:
     paho does not pass it on.
@@ -147,6 +151,7 @@ def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> Br
     """
     tls_ca = broker["tls_ca"]
     _check(broker["host"], base_topic)
+    _accept_any_answer()
     client = BrokerSession(
         CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5
     )
