@@ -20,7 +20,7 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor, step_and_track
 from tacshade_edge.settings import Settings, strict_yaml
-from tacshade_edge.settings.load import convert
+from tacshade_edge.settings.conversion import convert
 from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.wire.hand_messages import finger_of
 from tacshade_edge.wire.topics import Finger, HandObjects

@@ -3,7 +3,7 @@ where.
 
 In: a YAML file. Out: a `Document`.
 Threads: none.
-Other rooms use: `load`, `model`, `strict_yaml`.
+Other rooms use: `conversion`, `load`, `model`, `strict_yaml`.
 """
 
 from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml

@@ -18,24 +18,22 @@ one. With ``hand_id`` next to ``sensors`` they are the fingers of a hand, and ea
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import yaml
 
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.quoting import did_you_mean, shown
+from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.sensor.profiles import AUTO
 from tacshade_edge.settings import strict_yaml
+from tacshade_edge.settings.conversion import convert
 from tacshade_edge.settings.model import (
     FINGER,
     HAND,
-    OWN,
     SENSORS,
     Files,
     Rpicam,
@@ -45,9 +43,9 @@ from tacshade_edge.settings.model import (
     V4l2,
     wrong_with,
 )
-from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile, dotted
+from tacshade_edge.settings.several import own_folders, split
+from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile
 
-T = TypeVar("T")
 _V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
 
 
@@ -103,19 +101,19 @@ def load_all(path: Path) -> tuple[Document, ...]:
     """Read and check a settings file with one sensor or several. Raises ConfigError like `load`."""
     file = strict_yaml.read(path)
     several = isinstance(file.value, dict) and SENSORS in file.value
-    return tuple(_document(part, several) for part in (_split(file) if several else [file]))
+    return tuple(_document(part, several=several) for part in (split(file) if several else [file]))
 
 
-def _document(file: YamlFile, several: bool) -> Document:
+def _document(file: YamlFile, *, several: bool) -> Document:
     settings = convert(file, Settings)
     _check_profile(file, settings)
     _check_size(file, settings.source)
     _check_exposure(file, settings.source)
-    _check_hand(file, settings, several)
+    _check_hand(file, settings, several=several)
     settings = _absolute(settings, file.path.absolute().parent)
-    return Document(
-        file.path, _own_folders(settings, file.found) if several else settings, file.found, several
-    )
+    if several:
+        settings = own_folders(settings, file.found)
+    return Document(file.path, settings, file.found, several)
 
 
 def load_hand(path: Path) -> Hand | None:
@@ -125,16 +123,17 @@ def load_hand(path: Path) -> Hand | None:
     """
     fingers = tuple(document.settings.sensor_id for document in load_all(path))
     file = strict_yaml.read(path)
+    # load_all has checked this much of the file; whatever else it has belongs to the sensors.
     kept = {key: file.value[key] for key in (HAND, "mqtt") if file.value.get(key) is not None}
     settings = _absolute(msgspec.convert(kept, Settings), path.absolute().parent)
     return (
-        Hand(Document(path, settings, file.found, True), settings.hand_id, fingers)
+        Hand(Document(path, settings, file.found, several=True), settings.hand_id, fingers)
         if settings.hand_id
         else None
     )
 
 
-def _check_hand(file: YamlFile, settings: Settings, several: bool) -> None:
+def _check_hand(file: YamlFile, settings: Settings, *, several: bool) -> None:
     """Check that a finger belongs to a hand and has its place in it,
     and that a hand has several sensors.
     """
@@ -202,179 +201,6 @@ def to_yaml(settings: Settings) -> str:
     return text
 
 
-def schema_of(kind: type) -> dict[str, Any]:
-    """The JSON Schema of a struct, with those of the structs in it."""
-    schema = msgspec.json.schema(kind)
-    return {**schema["$defs"][kind.__name__], "$defs": schema["$defs"]}
-
-
-def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
-    """Convert the value at a key to a struct. Raises ConfigError like `load`."""
-    value = file.value
-    for name in at:
-        value = value[name]
-    if not isinstance(value, dict):
-        named = f"{dotted(at)}: " if at else ""
-        text = (
-            f"{file.path}:{file.found[at].line}: {named}found {file.found[at].text}, expected a "
-            "mapping of settings"
-        )
-        raise ConfigError(text)
-    try:
-        return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
-        key, problem = _explained(str(error), value, file.found, at, schema_of(kind))
-        raise file.error(key, problem) from None
-
-
-def _explained(
-    message: str, value: dict[str, Any], found: dict[Key, Located], at: Key, root: dict[str, Any]
-) -> tuple[Key, str]:
-    """The key and the problem of one msgspec error,
-    which names a JSON path below `at` and one field.
-    """
-    path = re.search(r" - at `\$\.?([^`]*)`$", message)
-    key: Key = tuple(re.split(r"[.[]", path[1].replace("]", ""))) if path and path[1] else ()
-    if unknown := re.match(
-        r"Object contains unknown field `(.*?)`(?: - at `|$)", message, re.DOTALL
-    ):
-        given, schema = _at(key, value, root)
-        names = list(_option(schema, given, root)["properties"])
-        text = (
-            "found an unknown key, expected one of "
-            f"{', '.join(names)}{did_you_mean(unknown[1], names)}"
-        )
-        return (*at, *key, unknown[1]), text
-    if missing := re.match(r"Object missing required field `(.*?)`", message):
-        key = (*key, missing[1])
-        return (*at, *key), f"found nothing, expected {expectation(_at(key, value, root)[1])}"
-    given, schema = _at(key, value, root)
-    text = f"a list of {len(given)}" if isinstance(given, list) and key else found[(*at, *key)].text
-    return (*at, *key), f"found {text}, expected {expectation(schema, given)}"
-
-
-def _at(key: Key, value: Any, root: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """The value at `key` (None if it is missing) and its JSON Schema."""
-    schema = root
-    for name in key:
-        option = _option(schema, value, root)
-        schema = option["items"] if isinstance(value, list) else option["properties"][name]
-        value = value[int(name)] if isinstance(value, list) else value.get(name)
-    return value, schema
-
-
-def _option(schema: dict[str, Any], value: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """The alternative of `schema` for a mapping or list;
-    a tag chooses the struct, and if wrong is all there is.
-    """
-    options: list[dict[str, Any]]
-    options = [
-        root["$defs"][o["$ref"].rpartition("/")[2]] if "$ref" in o else o
-        for o in schema.get("anyOf", [schema])
-    ]
-    options = [
-        option
-        for option in options
-        if ("items" if isinstance(value, list) else "properties") in option
-    ]
-    if "discriminator" not in schema:
-        return options[0]
-    tag = schema["discriminator"]["propertyName"]
-    tags = list(schema["discriminator"]["mapping"])
-    chosen = [option for option in options if value.get(tag) in option["properties"][tag]["enum"]]
-    return chosen[0] if chosen else {"properties": {tag: {"enum": tags}}}
-
-
-def expectation(schema: dict[str, Any], given: object = None) -> str:
-    """A description, for a person, of the values that `schema` accepts."""
-    if "enum" in schema:
-        return f"one of {', '.join(map(str, schema['enum']))}{did_you_mean(given, schema['enum'])}"
-    if "anyOf" in schema and "discriminator" not in schema:
-        return " or ".join(map(expectation, schema["anyOf"]))
-    kind = {
-        "integer": "an integer",
-        "number": "a number",
-        "string": "a string",
-        "boolean": "true or false",
-    }
-    kind |= {"array": "a list", "null": "null"}
-    text = kind.get(schema.get("type", ""), "a mapping")
-    if schema.get("minItems"):
-        text = f"a list of {schema['minItems']} {kind[schema['items']['type']].split()[-1]}s"
-    if "minimum" in schema:
-        text += f" from {schema['minimum']} to {schema['maximum']}"
-    if "exclusiveMinimum" in schema:
-        text += f" above {schema['exclusiveMinimum']} to {schema['maximum']}"
-    described = schema.get("description")
-    return f"{text} ({described})" if described and "properties" not in schema else text
-
-
-SENSORS_MAX = 16
-
-
-def _split(file: YamlFile) -> Iterator[YamlFile]:
-    """Split a file into one per sensor, each like a file of that sensor alone;
-    check what concerns several.
-    """
-    sensors, found = file.value[SENSORS], file.found
-    if not isinstance(sensors, dict) or not 1 <= len(sensors) <= SENSORS_MAX:
-        count = len(sensors) if isinstance(sensors, dict) else found[(SENSORS,)].text
-        expected = f"expected 1 to {SENSORS_MAX} sensors, each its id and its settings"
-        raise file.error((SENSORS,), f"found {count}, {expected}")
-    common = {key: value for key, value in file.value.items() if key != SENSORS}
-    for key in common.keys() & OWN:
-        raise file.error((key,), f"found beside {SENSORS}, expected in each of them")
-    places, bauds = dict[str, str](), dict[str, tuple[object, str]]()
-    for sensor_id, own in sensors.items():
-        at = (SENSORS, sensor_id)
-        if not isinstance(own, dict):
-            raise file.error(at, f"found {found[at].text}, expected a mapping of settings")
-        if "sensor_id" in own:
-            raise file.error((*at, "sensor_id"), f"found a second id, expected {sensor_id} alone")
-        if HAND in own:
-            raise file.error((*at, HAND), f"found in a sensor, expected beside {SENSORS}")
-        for key in ("calibration", "source"):  # all sensors would share the defaults
-            if key not in own:
-                raise file.error((*at, key), "found nothing, expected one of its own")
-        for key, place in _places(own).items():
-            if place in places:
-                raise file.error(
-                    (*at, key), f"found the same as in {places[place]}, expected another"
-                )
-            places[place] = dotted((*at, key))
-        value = {**_over(common, own), "sensor_id": sensor_id}
-        if isinstance(serial := value.get("serial"), dict) and "device" in serial:
-            baud, first = bauds.setdefault(str(serial["device"]), (serial.get("baud"), sensor_id))
-            if serial.get("baud") != baud:
-                text = f"found a different baud, expected that of {SENSORS}.{first} on this port"
-                raise file.error((*at, "serial"), text)
-        of_one = {key: where for key, where in found.items() if key[:1] != (SENSORS,)}
-        of_one |= {key[2:]: replace(where, at=at) for key, where in found.items() if key[:2] == at}
-        of_one["sensor_id",] = Located(found[at].line, sensor_id, at)
-        yield YamlFile(file.path, value, of_one)
-
-
-def _over(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The common settings overridden by a sensor's own,
-    key by key within a section that both have.
-    """
-    both = {
-        key: {**common[key], **own[key]}
-        for key in common.keys() & own.keys()
-        if isinstance(common[key], dict) and isinstance(own[key], dict)
-    }
-    return {**common, **own, **both}
-
-
-def _places(own: dict[str, Any]) -> dict[str, str]:
-    """Settings that sensors cannot share: the calibration (with its reference) and the camera."""
-    found = {"calibration": f"calibration {own['calibration']}"}
-    for name in ("device", "camera"):
-        if isinstance(own["source"], dict) and name in own["source"]:
-            found["source"] = f"source {name} {own['source'][name]}"
-    return found
-
-
 def _absolute(settings: Settings, folder: Path) -> Settings:
     """The same settings with every relative path made absolute against `folder`."""
 
@@ -394,17 +220,3 @@ def _absolute(settings: Settings, folder: Path) -> Settings:
         stitching=at(settings.stitching, "folder"),
     )
     return absolute
-
-
-def _own_folders(settings: Settings, found: dict[Key, Located]) -> Settings:
-    """Put a sensor's folders below the common ones, named by its id,
-    unless the sensor names its own.
-    """
-    changed = {}
-    for section in ("recorder", "stitching"):
-        where = found.get((section, "folder"))
-        if where is None or not where.at:
-            of_section = getattr(settings, section)
-            folder = str(Path(of_section.folder) / settings.sensor_id)
-            changed[section] = msgspec.structs.replace(of_section, folder=folder)
-    return msgspec.structs.replace(settings, **changed)

@@ -20,7 +20,7 @@ from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.meshes import read_stl, stl_bytes
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.load import convert
+from tacshade_edge.settings.conversion import convert
 
 _Length = Annotated[float, Meta(gt=0, le=500)]
 

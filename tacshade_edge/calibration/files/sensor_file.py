@@ -13,7 +13,7 @@ from msgspec import Meta
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.settings import strict_yaml
-from tacshade_edge.settings.load import convert, expectation, schema_of
+from tacshade_edge.settings.conversion import convert, expectation, schema_of
 from tacshade_edge.settings.model import Placed, wrong_with
 from tacshade_edge.types import IDENTITY_POSE, Disc, Skin
 
