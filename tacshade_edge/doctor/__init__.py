@@ -2,7 +2,8 @@
 
 In: settings, devices, the broker, pictures. Out: findings, each a line of the report.
 Threads: one for each check that may hang.
-Other rooms use: `board`, `bundle`, `camera_check`, `diagnose`, `judged_pictures`, `machine`.
+Other rooms use: `board`, `bundle`, `camera_check`, `diagnose`, `judged_pictures`, `machine`,
+    `tail`.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
 from tacshade_edge.doctor.judged_pictures import figures, judge_pictures
 from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.doctor.tail import check_tail, measure_tail
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.images import images_in, read_image
 from tacshade_edge.quoting import escaped
@@ -55,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_flag(
         parser, "--json", "print {check, state, found, fix}, or each picture's figures, as JSON"
     )
+    add_flag(
+        parser,
+        "--tail",
+        "only measure, in ten seconds, how late this machine ends the same work, and name what "
+        "helps",
+    )
     add_option(
         parser, "--calibration", "CAL.npz", "with images: instead of the settings' calibration"
     )
@@ -77,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
         and args.bundle is not None,
         "--calibration: found no image to judge, expected at least one": args.calibration
         and not args.images,
+        "--tail: found images or --bundle as well, expected one of the three": args.tail
+        and (args.images or args.bundle is not None),
     }
     for mistake, is_made in mistakes.items():
         if is_made:
@@ -84,7 +93,13 @@ def run(args: argparse.Namespace) -> int:
     if args.images:
         return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
     findings, seen = [], Seen()
-    for finding in diagnose(args.config, Machine(), seen, args.sensor):
+    machine = Machine()
+    found = (
+        check_tail(machine, measure_tail())
+        if args.tail
+        else diagnose(args.config, machine, seen, args.sensor)
+    )
+    for finding in found:
         findings.append(finding)
         if not args.json:
             print(

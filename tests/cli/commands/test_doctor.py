@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.commands.doctor import shown
 from tacshade_edge.doctor import fault, warning
+from tacshade_edge.doctor.tail import measure_tail
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 from tools.testbed.painted_sensor import FREE, painted_calibration
 from tools.testbed.patience import patience
@@ -143,3 +145,15 @@ def test_pictures_need_a_calibration(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "c.npz").unlink()
     assert main(["doctor", str(tmp_path / "a.png"), "--config", config]) == EXIT_CONFIG
     assert "found no file" in capsys.readouterr().err
+
+
+def test_the_tail_is_measured_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = partial(measure_tail, work_ms=0.2, rate_hz=200.0, seconds=0.05)
+    monkeypatch.setattr("tacshade_edge.cli.commands.doctor.measure_tail", short)
+    assert main(["doctor", "--tail", "--json"]) == EXIT_OK
+    assert {each["check"] for each in json.loads(capsys.readouterr().out)} == {"tail"}
+    with pytest.raises(SystemExit):
+        main(["doctor", "--tail", "picture.png"])
+    assert "--tail: found images" in capsys.readouterr().err
