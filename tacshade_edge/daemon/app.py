@@ -23,8 +23,9 @@ from tacshade_edge.calibration.files import reference_file
 from tacshade_edge.camera import sources
 from tacshade_edge.camera.frame_source import FrameSource
 from tacshade_edge.daemon.active_profile import ActiveProfile, Step
-from tacshade_edge.daemon.live_recorder import SOURCE_ENDED, LiveRecorder
+from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.named_files import check_files
+from tacshade_edge.daemon.ongoing_recording import SOURCE_ENDED
 from tacshade_edge.daemon.reference_in_use import References
 from tacshade_edge.daemon.systemd import Service, notify, notify_reloading, notify_stopping
 from tacshade_edge.daemon.taught_objects import ObjectEvents, TaughtObjects

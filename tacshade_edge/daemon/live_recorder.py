@@ -6,24 +6,27 @@ and a recording begins with them.
 from __future__ import annotations
 
 import logging
-import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Generic, Literal, TypeVar
+from typing import Any, Final
 
 import msgspec
-import numpy as np
 
-from tacshade_edge.calibration.files.calibration_file import packed
+from tacshade_edge.daemon.ongoing_recording import (
+    DAEMON_STOPPED,
+    STOPPED,
+    TIME,
+    OngoingRecording,
+    Recorded,
+)
+from tacshade_edge.daemon.pre_roll import EVENT_BYTES
+from tacshade_edge.daemon.record_thread import RecordThread
 from tacshade_edge.errors import DeviceError, TacshadeError
-from tacshade_edge.files.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.pipeline.observer import RECORDED_S, FrameObserver, Reply, SourceState
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
-from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
+from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, Event
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.settings import Settings, to_yaml
@@ -33,152 +36,8 @@ from tacshade_edge.wire.messages import encode_status
 from tacshade_edge.wire.requests import Request
 
 _log = logging.getLogger(__name__)
-T = TypeVar("T")
-
-
-class ByteQueue(Generic[T]):
-    """A first-in, first-out queue between two threads, bounded in bytes."""
-
-    def __init__(self, limit_bytes: int) -> None:
-        self._limit = limit_bytes
-        self._ready = threading.Condition()
-        self._items: deque[tuple[T, int]] = deque()
-        self._bytes = 0
-        self._closed = False
-
-    def put(self, item: T, size_bytes: int, *, reserve_bytes: int = 0) -> bool:
-        """Add an item, or return False if full.
-
-        `reserve_bytes` above the limit are for this kind of item.
-        """
-        with self._ready:
-            if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
-                return False
-            self._items.append((item, size_bytes))
-            self._bytes += size_bytes
-            self._ready.notify()
-            return True
-
-    def take(self, timeout_s: float) -> T | None:
-        with self._ready:
-            self._ready.wait_for(lambda: self._items or self._closed, timeout_s)
-            if not self._items:
-                return None
-            item, size_bytes = self._items.popleft()
-            self._bytes -= size_bytes
-            return item
-
-    def close(self) -> None:
-        with self._ready:
-            self._closed = True
-            self._ready.notify_all()
-
-    @property
-    def drained(self) -> bool:
-        with self._ready:
-            return self._closed and not self._items
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-
-# 54 grey frames of 640x480: almost a second at 60 per second.
-# Part of the 150 MB that the service may use.
-QUEUE_BYTES: Final = 16 * 2**20
 EVENTS_RESERVE_BYTES: Final = 256 * 1024  # an event fits when no frame does
-PRE_ROLL_BYTES: Final = 64 * 2**20
-"""As PNG, 12 s of grey 640x480 at 30 frames/s, 4 s in colour.
-
-Within the service's 150 MB, with 16 MiB that wait.
-"""
-EVENT_BYTES: Final = 1024
-SYNC_S = STATUS_PERIOD_S = 1.0
-_NO_PIXELS = np.zeros((0, 0), np.uint8)
-TIME, STOPPED = Reason(ReasonCode.TIME, "time"), Reason(ReasonCode.STOPPED, "stopped")
-SOURCE_ENDED = Reason(ReasonCode.SOURCE_ENDED, "the frame source has no more frames")
-DAEMON_STOPPED = Reason(ReasonCode.DAEMON_STOPPED, "the daemon stopped")
-# These endings are normal and leave the recorder idle; any other is a reason that it stopped.
-GOOD_ENDINGS = (
-    ReasonCode.TIME,
-    ReasonCode.STOPPED,
-    ReasonCode.SOURCE_ENDED,
-    ReasonCode.DAEMON_STOPPED,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """A captured frame with its pose but without pixels, and its image as PNG."""
-
-    frame: Frame
-    png: bytes
-
-    @property
-    def t_ns(self) -> int:
-        return self.frame.t_ns
-
-
-Kept = Shot | Event | Literal["end"]
-
-
-def _size(item: Kept) -> int:
-    return len(item.png) if isinstance(item, Shot) else EVENT_BYTES
-
-
-def _frames(items: Iterable[object]) -> int:
-    return sum(isinstance(item, Shot | Frame) for item in items)
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """State of a recording, or its result: `dropped` frames were captured meanwhile but are not in
-    it; `ending` is None while it runs, then one of `GOOD_ENDINGS`, or what went wrong.
-    """
-
-    folder: Path
-    frames: int
-    bytes: int
-    dropped: int
-    ending: Reason | None
-
-    @property
-    def failed(self) -> bool:
-        return self.ending is not None and self.ending.code not in GOOD_ENDINGS
-
-    def as_dict(self) -> dict[str, str | int | float]:
-        """The content of ``status/recorder``, ``res/record`` and ``recording.json``."""
-        counts = {"frames": self.frames, "bytes": self.bytes, "dropped": self.dropped}
-        return {"folder": str(self.folder), **counts, **reason_fields(self.ending, "ending")}
-
-
-@dataclass(slots=True, eq=False)
-class _Recording:
-    """A recording that goes on; it is also the queue's item at which the thread begins it.
-
-    Its first ending counts.
-    """
-
-    recorder: RecordingWriter
-    settings_yaml: str
-    calibration: Calibration
-    about: Mapping[str, object]
-    seconds: float
-    began_ns: int = field(default_factory=time.monotonic_ns)
-    ending: Reason | None = None
-    done: bool = False
-    refused: int = 0  # frames, by the queue
-    lost: int = 0  # frames taken but not written
-    first: tuple[int, int] | None = None
-
-    @property
-    def end_ns(self) -> int:
-        return self.began_ns + round(self.seconds * 1e9)
-
-    def now(self) -> Recorded:
-        recorder = self.recorder
-        return Recorded(
-            recorder.folder, recorder.frames, recorder.bytes, self.refused + self.lost, self.ending
-        )
+STATUS_PERIOD_S: Final = 1.0
 
 
 class LiveRecorder(FrameObserver):
@@ -198,23 +57,18 @@ class LiveRecorder(FrameObserver):
         pre_roll_s: float = 0.0,
     ) -> None:
         self._publish = publish
-        self._written = written
-        self._posed = posed
-        self._queue: ByteQueue[Frame | Event | _Recording | Literal["end"]] = ByteQueue(QUEUE_BYTES)
-        self._kept: deque[Kept] = deque()  # to be written, or perhaps; the record thread's
-        self._recording: _Recording | None = None
+        self._pre_roll_ns = round(pre_roll_s * 1e9)
+        self._thread = RecordThread(written, posed, self._pre_roll_ns)
+        # Beside the thread's own: `grab` reads the length and puts into the queue at each frame.
+        self._queue = self._thread.queue
+        self._recording: OngoingRecording | None = None
         self._latest: Recorded | None = None
         self._stop_reply: Reply | None = None
         self._counts = {"written": 0, "dropped": 0}  # of recordings that ended
-        self._pre_roll_ns = round(pre_roll_s * 1e9)
-        self._oldest_ns = 0  # older frames are of another calibration
-        self._pre_roll = self._refused = self._given_up = (
-            0  # frames: kept, refused by the queue, without room
-        )
+        self._refused = 0  # frames of the pre-roll, by the queue
         self._calibration_crc32: int | None = None
         self._published, self._published_s = b"", 0.0
         self._published_folder: Path | None = None
-        self._thread = threading.Thread(target=self._run, name="record", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
@@ -222,8 +76,7 @@ class LiveRecorder(FrameObserver):
     def stop(self, timeout_s: float) -> None:
         """Wait until the recording is written, and answer a ``stop`` request."""
         self.end(DAEMON_STOPPED)
-        self._queue.close()
-        self._thread.join(timeout_s)
+        self._thread.stop(timeout_s)
         self.poll()
 
     def handle(
@@ -307,7 +160,9 @@ class LiveRecorder(FrameObserver):
             )
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
         recorder = make(folder)
-        recording = _Recording(recorder, settings_yaml, calibration, about, seconds)
+        recording = OngoingRecording(recorder, settings_yaml, calibration, about, seconds)
+        # First the queue: `grab` puts frames as soon as it sees the recording, and what the thread
+        # takes before the recording itself is dropped without a count.
         self._queue.put(recording, 0, reserve_bytes=EVENTS_RESERVE_BYTES)
         self._recording = recording
 
@@ -326,6 +181,7 @@ class LiveRecorder(FrameObserver):
         return self._take if self._pre_roll_ns or (recording and not recording.ending) else None
 
     def _take(self, frame: Frame) -> None:
+        # In `grab`. The main thread may end the recording in between, so it is read once.
         recording = self._recording
         if recording is not None and frame.t_ns > recording.end_ns:
             return
@@ -342,7 +198,9 @@ class LiveRecorder(FrameObserver):
             self._queue.put(event, EVENT_BYTES, reserve_bytes=EVENTS_RESERVE_BYTES)
 
     def settings_changed(self, settings: Settings) -> None:
-        self._pre_roll_ns = round(settings.recorder.pre_roll_s * 1e9)
+        self._pre_roll_ns = self._thread.pre_roll.length_ns = round(
+            settings.recorder.pre_roll_s * 1e9
+        )
 
     def source_changed(self, source: SourceState) -> None:
         self.event("source", state=source.state, **reason_fields(source.reason))
@@ -353,7 +211,8 @@ class LiveRecorder(FrameObserver):
         """
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
         if calibration_crc32 != self._calibration_crc32:
-            self._calibration_crc32, self._oldest_ns = calibration_crc32, time.monotonic_ns()
+            self._calibration_crc32 = calibration_crc32
+            self._thread.pre_roll.oldest_ns = time.monotonic_ns()
         if self._recording is not None and calibration_crc32 != self._recording.calibration.crc32:
             self.end(Reason(ReasonCode.CALIBRATION_CHANGED, "the reference or calibration changed"))
 
@@ -362,21 +221,22 @@ class LiveRecorder(FrameObserver):
 
     def health(self) -> dict[str, int]:
         """Frames written and dropped since the start, frames waiting, and the pre-roll."""
-        recording, now = self._recording, self.now()
+        recording, now, pre_roll = self._recording, self.now(), self._thread.pre_roll
         counts = {
             "written": self._counts["written"] + (now.frames if now else 0),
             "dropped": self._counts["dropped"] + (now.dropped if now else 0),
-            "waiting": len(self._queue) + len(self._kept) if recording else 0,
+            "waiting": len(self._queue) + len(pre_roll.kept) if recording else 0,
         }
         if self._pre_roll_ns:
-            counts["pre_roll"] = 0 if recording else self._pre_roll
-            counts["pre_roll_dropped"] = self._refused + self._given_up
+            counts["pre_roll"] = 0 if recording else pre_roll.frames
+            counts["pre_roll_dropped"] = self._refused + pre_roll.given_up
         return counts
 
     def poll(self) -> None:
         """End a recording that is over, answer the request to stop it,
         and publish ``status/recorder``.
         """
+        # In the main thread, which alone begins and ends recordings: `record` only sets `done`.
         recording = self._recording
         if recording is not None and time.monotonic_ns() > recording.end_ns:
             self.end(TIME)
@@ -411,90 +271,3 @@ class LiveRecorder(FrameObserver):
             return
         self._published, self._published_s, self._published_folder = status, now_s, folder
         self._publish(status)
-
-    # The thread runs these.
-
-    def _run(self) -> None:
-        """Take one in and write one out, so that what is kept never grows,
-        and is written while nothing comes.
-        """
-        kept, recording, synced_s = self._kept, None, 0.0
-        while True:
-            writing = recording is not None and bool(kept)
-            item = self._queue.take(0 if writing else SYNC_S)
-            if item is None and not writing and self._queue.drained:
-                return
-            now_ns = time.monotonic_ns()
-            try:
-                if isinstance(item, _Recording):
-                    recording = item
-                    item.recorder.begin(item.settings_yaml, packed(item.calibration))
-                elif isinstance(item, Frame):
-                    frame = self._posed(item)
-                    kept.append(Shot(replace(frame, image=_NO_PIXELS), png_of(frame.image)))
-                    now_ns = item.t_ns
-                elif item is not None and (recording is not None or isinstance(item, Event)):
-                    kept.append(item)
-                if recording is None:
-                    self._bound(now_ns - self._pre_roll_ns)
-                elif kept and self._write(recording):
-                    recording = None
-                elif time.monotonic() - synced_s >= SYNC_S:
-                    recording.recorder.sync()
-                    synced_s = time.monotonic()
-            except DeviceError as error:
-                assert recording is not None
-                self._fail(recording, error.reason)
-                recording = None
-
-    def _bound(self, oldest_ns: int) -> None:
-        """Keep only the pre-roll; without one, nothing."""
-        kept, oldest_ns = (
-            self._kept,
-            max(oldest_ns, self._oldest_ns) if self._pre_roll_ns else 2**63,
-        )
-        while kept and (isinstance(kept[0], str) or kept[0].t_ns < oldest_ns):
-            kept.popleft()
-        too_many_bytes = sum(map(_size, kept)) - PRE_ROLL_BYTES
-        while too_many_bytes > 0:
-            item = kept.popleft()
-            too_many_bytes -= _size(item)
-            self._given_up += isinstance(item, Shot)
-        self._pre_roll = _frames(kept)
-
-    def _write(self, recording: _Recording) -> bool:
-        """Write the oldest of what is kept; return whether it was the end."""
-        item, recorder = self._kept[0], recording.recorder
-        if isinstance(item, str):
-            self._finish(recording)
-        elif isinstance(item, Event):
-            recorder.event(item.t_ns, item.kind, item.data)
-        elif not recorder.add(item.frame, item.png):
-            found = f"less than {FREE_FLOOR_BYTES // 2**20} MiB free on the disk"
-            raise DeviceError(found, code=ReasonCode.DISK_FULL)
-        else:
-            recording.first = recording.first or (item.frame.t_ns, item.frame.wall_ns)
-        self._kept.popleft()
-        return isinstance(item, str)
-
-    def _fail(self, recording: _Recording, reason: Reason) -> None:
-        """End a recording that cannot be written further; what waits for it is lost."""
-        recording.ending = recording.ending or reason
-        waiting = [self._queue.take(0) for _ in range(len(self._queue))]
-        recording.lost += _frames((*waiting, *self._kept))
-        self._kept.clear()
-        self._finish(recording)
-
-    def _finish(self, recording: _Recording) -> None:
-        now = recording.now()
-        times = dict(
-            zip(("first_t_ns", "first_wall_ns"), recording.first or (None, None), strict=True)
-        )
-        try:
-            recording.recorder.finish({**now.as_dict(), **times, **recording.about})
-        except DeviceError as error:
-            if not now.failed:
-                recording.ending = error.reason
-            recording.recorder.close()
-        recording.done = True
-        self._written()

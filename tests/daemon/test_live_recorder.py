@@ -15,52 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tacshade_edge.daemon import live_recorder
-from tacshade_edge.daemon.live_recorder import STOPPED, TIME, ByteQueue, LiveRecorder
+from tacshade_edge.daemon import pre_roll, record_thread
+from tacshade_edge.daemon.live_recorder import LiveRecorder
+from tacshade_edge.daemon.ongoing_recording import STOPPED, TIME
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.recording.frame_table import read_table
-from tacshade_edge.recording.recorder import McapRecorder, png_of
+from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import Recorder as SettingsOfRecorder
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame
 from tools.testbed.painted_sensor import FREE, TOUCHED
 from tools.testbed.patience import patience, wait_until
-
-
-@given(st.lists(st.tuples(st.integers(1, 15), st.booleans()), max_size=40))
-def test_every_item_is_taken_in_order_or_counted_and_the_limit_holds(
-    steps: list[tuple[int, bool]],
-) -> None:
-    queue: ByteQueue[tuple[int, int]] = ByteQueue(20)
-    taken: list[tuple[int, int]] = []
-    held = refused = 0
-    for number, (size, take) in enumerate(steps):
-        fitted = queue.put((number, size), size)
-        held += size if fitted else 0
-        refused += not fitted
-        assert held <= 20
-        if take and (item := queue.take(0)) is not None:
-            taken.append(item)
-            held -= item[1]
-    queue.close()
-    while not queue.drained:
-        item = queue.take(0)
-        assert item is not None
-        taken.append(item)
-    assert taken == sorted(taken)
-    assert len(taken) + refused == len(steps)
-
-
-def test_an_item_of_any_size_fits_an_empty_queue_and_a_reserve_is_for_its_kind() -> None:
-    queue: ByteQueue[str] = ByteQueue(10)
-    assert queue.put("huge", 99)
-    assert not queue.put("a", 1)
-    assert queue.put("event", 1, reserve_bytes=90)
-    assert [queue.take(0), queue.take(0), queue.take(0)] == ["huge", "event", None]
 
 
 class Live:
@@ -80,7 +47,7 @@ class Live:
         self,
         seconds: float = 60.0,
         name: str = "one",
-        make: Callable[..., Any] = live_recorder.RecordingWriter,
+        make: Callable[..., Any] = RecordingWriter,
     ) -> None:
         folder = self.folder.with_name(name)
         self.recorder.begin(
@@ -113,6 +80,12 @@ class Live:
 
     def until(self, **counts: int) -> None:
         wait_until(lambda: counts.items() <= self.recorder.health().items(), 20, f"{counts}")
+
+
+@pytest.fixture
+def short_queue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recorders that are made from now on have three frames' room for what waits."""
+    monkeypatch.setattr(record_thread, "QUEUE_BYTES", 3 * FREE.nbytes)
 
 
 @pytest.fixture
@@ -171,19 +144,19 @@ def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
     assert (status["frames"], status["ending"]) == (2, str(TIME))
 
 
+@pytest.mark.usefixtures("short_queue")
 def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on, writing = threading.Event(), threading.Event()
-    real = live_recorder.RecordingWriter.add
+    real = RecordingWriter.add
 
-    def slow(self: live_recorder.RecordingWriter, frame: Frame, png: bytes) -> bool:
+    def slow(self: RecordingWriter, frame: Frame, png: bytes) -> bool:
         writing.set()
         assert go_on.wait(patience(20))
         return real(self, frame, png)
 
-    monkeypatch.setattr(live_recorder.RecordingWriter, "add", slow)
-    monkeypatch.setattr(live.recorder._queue, "_limit", 3 * FREE.nbytes)
+    monkeypatch.setattr(RecordingWriter, "add", slow)
     live.begin()
     live.give(*frames(1))
     assert writing.wait(patience(20))
@@ -237,9 +210,9 @@ def test_a_disk_that_comes_to_its_floor_ends_it(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = threading.Event()
-    real = live_recorder.RecordingWriter.add
+    real = RecordingWriter.add
     monkeypatch.setattr(
-        live_recorder.RecordingWriter,
+        RecordingWriter,
         "add",
         lambda self, *shot: not full.is_set() and real(self, *shot),
     )
@@ -333,7 +306,7 @@ def test_what_is_kept_is_bounded_and_what_finds_no_room_is_counted(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     size = len(png_of(FREE)) + len(png_of(TOUCHED))
-    monkeypatch.setattr(live_recorder, "PRE_ROLL_BYTES", 2 * size)
+    monkeypatch.setattr(pre_roll, "PRE_ROLL_BYTES", 2 * size)
     keep(live, 30.0)
     given = now(10)
     live.give(*given)
