@@ -20,22 +20,21 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tacshade_edge.lab.simulator.membrane import finer, slid, solve
 from tacshade_edge.lab.simulator.press import Press, distances_mm
 from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.lab.simulator.skin import (
+    CLAMPED,
     Skin,
     Solver,
     at_height,
     direction_to_chart,
-    finer,
     mass_weight,
     net_pull,
     node_directions,
     obstacle_of,
     press_skin,
     rest_x_y_mm,
-    slid,
-    solve,
     undeformed,
 )
 from tacshade_edge.types import F32, F64, I64
@@ -45,6 +44,7 @@ _TOUCHING_MM = 1e-3
 _STUCK_MM = 0.02
 _STEEPEST = 0.75  # limit of w over λt, and of any change of the origin: skin that would fold slides
 _SWAY_TOLERANCE_MM = 0.05
+_LEAST_MM = 1e-9  # a displacement that is divided by
 
 Shape = Callable[[F32 | None], Skin]
 """A function from `Skin.leaning_mm` to the skin shaped by the presses, as in `skin.press_skin`."""
@@ -166,15 +166,7 @@ def _swaying(
     """
     radius_mm, size_mm = model.form_mm
     direction = node_directions(radius_mm, size_mm).astype(np.float64)
-    if math.isinf(radius_mm):
-        moved, leaning = swayed_mm(direction, sway_mm, size_mm), None
-    else:
-        moved = mechanics.lean(direction, sway_mm)
-        if model.bulge:
-            displaced = model.bulge * _displaced_mm3(radius_mm, presses)
-            moved += bulged_mm(direction, displaced, radius_mm)
-        leaning = -np.sum(moved * direction, axis=-1) if moved.any() else None
-        leaning = None if leaning is None else np.asarray(leaning, np.float32)
+    moved, leaning = _leaning(direction, model, presses, mechanics, sway_mm)
     if rest is not None and rest.leaning_mm is not None:
         leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
     skin = shape(leaning)
@@ -184,28 +176,60 @@ def _swaying(
     )
     if rest is not None and rest.origin_mm is not None:
         before += rest.origin_mm
-    contacts = _contacts(skin, direction, node - before, model, presses)
+    leant = node - before
+    contacts = _contacts(skin, direction, leant, model, presses)
     weight = mass_weight(radius_mm, skin.step_mm, len(node) // 2)[::_EVERY, ::_EVERY]
     carried = mechanics.carry(contacts, weight, skin.step_mm * _EVERY, model)
-    moved_mm = contacts.held_mm + (node - before)[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     at_contacts = carried[:, contacts.rows, contacts.cols].T
-    ahead = contacts.held_mm - at_contacts
-    sticks = np.linalg.norm(ahead, axis=1) < _STUCK_MM
-    surplus = np.where(
-        sticks,
-        0.0,
-        np.linalg.norm(ahead, axis=1) / np.maximum(np.linalg.norm(moved_mm, axis=1), 1e-9),
-    )
-    owners = [contacts.owner == k for k in range(len(presses))]
     origin = np.asarray(
         before - node - np.moveaxis(finer(carried, node.shape[:2]), 0, 2), np.float32
     )
+    moved_mm = contacts.held_mm + leant[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
+    dragged = _dragged(skin, contacts, at_contacts, moved_mm, origin, len(presses))
+    return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
+
+
+def _leaning(
+    direction: F64,
+    model: SensorModel,
+    presses: Sequence[Press],
+    mechanics: DragMechanics,
+    sway_mm: F64,
+) -> tuple[F64, F32 | None]:
+    """How far the unloaded skin moves at the grid's nodes, (..., 3) mm, and `Skin.leaning_mm`."""
+    radius_mm, size_mm = model.form_mm
+    if math.isinf(radius_mm):
+        # A pad shears along itself, which changes no height.
+        return swayed_mm(direction, sway_mm, size_mm), None
+    moved = mechanics.lean(direction, sway_mm)
+    if model.bulge:
+        displaced = model.bulge * _displaced_mm3(radius_mm, presses)
+        moved += bulged_mm(direction, displaced, radius_mm)
+    if not moved.any():
+        return moved, None
+    return moved, np.asarray(-np.sum(moved * direction, axis=-1), np.float32)
+
+
+def _dragged(
+    skin: Skin, contacts: Contacts, at_contacts: F32, moved_mm: F64, origin: F32, presses: int
+) -> Skin:
+    """The skin with what drags it: w (N, 2) at the contacts, how far these moved in all, and
+    `Skin.origin_mm` before skin that would fold slides.
+    """
+    ahead = contacts.held_mm - at_contacts
+    lag_mm = np.linalg.norm(ahead, axis=1)
+    sticks = lag_mm < _STUCK_MM
+    surplus = np.where(
+        sticks, 0.0, lag_mm / np.maximum(np.linalg.norm(moved_mm, axis=1), _LEAST_MM)
+    )
+    owners = [contacts.owner == k for k in range(presses)]
     part = _unfolded_part(origin, skin.step_mm)
+    # What an unfolding takes away from the drag, the object slides further.
     ahead -= (1 - part) * origin[::_EVERY, ::_EVERY][contacts.rows, contacts.cols]
     touched, now = (
-        rest_x_y_mm(at, radius_mm) for at in (contacts.touched_mm, contacts.touched_mm + ahead)
+        rest_x_y_mm(at, skin.radius_mm) for at in (contacts.touched_mm, contacts.touched_mm + ahead)
     )
-    dragged = replace(
+    return replace(
         skin,
         origin_mm=origin * np.float32(part),
         stuck=tuple(float(sticks[mine].mean()) if mine.any() else 1.0 for mine in owners),
@@ -214,7 +238,6 @@ def _swaying(
             float(surplus[mine].min(initial=1.0)) if mine.any() else 0.0 for mine in owners
         ),
     )
-    return dragged, at_contacts.mean(axis=0) if len(at_contacts) else np.zeros(2)
 
 
 def _mean(vectors: F64) -> tuple[float, float]:
@@ -270,9 +293,8 @@ def carry(
     solver: Callable[[F32, F32, F32], F32] = slid,
 ) -> F32:
     """`Mechanics.carry` of the membrane: `slid` under Coulomb's law."""
-    steepest = (
-        _STEEPEST * model.drag_decay_mm / np.maximum(np.linalg.norm(contacts.held_mm, axis=1), 1e-9)
-    )
+    asked_mm = np.linalg.norm(contacts.held_mm, axis=1)
+    steepest = _STEEPEST * model.drag_decay_mm / np.maximum(asked_mm, _LEAST_MM)
     nodes = (step_mm / model.drag_decay_mm) ** 2
     held, limit = np.zeros((2, *weight.shape), np.float32), np.zeros(weight.shape, np.float32)
     held[:, contacts.rows, contacts.cols] = (contacts.held_mm * np.minimum(steepest, 1)[:, None]).T
@@ -305,7 +327,7 @@ def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
     if math.isinf(radius_mm):
         return x_y_mm
     rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
-    on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, 1e-9))
+    on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, _LEAST_MM))
     z = np.sqrt(radius_mm**2 - np.sum(on * on, axis=1))
     return np.stack(direction_to_chart(np.column_stack((on, z)), radius_mm), axis=-1)
 
@@ -352,7 +374,7 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
         mine = contacts.owner == owner
         held, mean_mm = contacts.held_mm[mine], float(contacts.pressure_mm[mine].mean())
         most = min(model.coulomb * mean_mm, 0.6 * model.drag_decay_mm) / max(
-            float(np.linalg.norm(held, axis=1).mean()), 1e-9
+            float(np.linalg.norm(held, axis=1).mean()), _LEAST_MM
         )
         beside = np.ones(weight.shape, np.uint8)
         beside[contacts.rows[mine], contacts.cols[mine]] = 0
@@ -368,7 +390,7 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
     beyond = weight**-0.5 - 1  # tan² of half the angle from the apex
     rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
     return np.asarray(
-        carried * np.where(weight < 2, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32
+        carried * np.where(weight < CLAMPED, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32
     )
 
 

@@ -298,6 +298,10 @@ class Press:
         )
 
 
+_FALLEN_MM = 1e-4
+_TALLEST_MM = 60.0  # twice the height of extruded shapes, so also of a shape that lies on its side
+
+
 @functools.lru_cache(maxsize=256)
 def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg: float) -> float:
     """The z in mm of a tilted shape's lowest point over its origin;
@@ -310,14 +314,14 @@ def _lowest_mm(shape: Shape, rotation_deg: float, tilt_x_deg: float, tilt_y_deg:
     for _ in range(4):
         axis = np.linspace(-half, half, 61)
         x, y = (v.ravel() + c for v, c in zip(np.meshgrid(axis, axis), centre, strict=True))
-        z = np.full(x.shape, -60.0)
+        z = np.full(x.shape, -_TALLEST_MM)
         for _ in range(80):
             low = z < float(z.min()) + half  # only points that may still be the lowest
             d = upright.distance_mm(100.0, np.stack((x[low], y[low], z[low]), axis=1) @ tilt + up)
             z[low] += np.maximum(d, 0)
-            if float(d.max()) < 1e-4:
+            if float(d.max()) < _FALLEN_MM:
                 break
-            z[low & (z > 60)] = 60.0
+            z[low & (z > _TALLEST_MM)] = _TALLEST_MM
         best = int(np.argmin(z))
         centre, lowest, half = np.array((x[best], y[best])), float(z[best]), half / 20
     return lowest

@@ -144,9 +144,13 @@ def equal_area_to_direction(points: F64, radius: float) -> F64:
     return np.stack((x * k, y * k, 1 - s / 2), axis=-1)
 
 
+_ALONG_X = 0.9
+"""Beyond, a normal is so nearly along x that its cross product with x is mostly rounding."""
+
+
 def tangents(normal: F64) -> tuple[F64, F64]:
     """Two unit vectors (P, 3) perpendicular to each unit normal."""
-    helper = np.where(np.abs(normal[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    helper = np.where(np.abs(normal[:, :1]) < _ALONG_X, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     first = np.cross(normal, helper)
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
     return first, np.cross(normal, first)

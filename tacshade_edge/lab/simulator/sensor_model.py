@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -131,60 +132,84 @@ class SensorModel:
         return self.skin_radius_mm, self.geometry.size_mm
 
 
+# Each stream draws in the order of these lines, and tests, golden results and result pages know
+# sensors by their seeds: a new parameter takes a new stream, as drag and creep did.
+_LENS = {
+    "skin_radius_mm": (17.0, 28.0),
+    "camera_distance_mm": (6.0, 26.0),
+    "visible_half_angle_deg": (42.0, 55.0),
+}
+_PRINT_AND_SKIN = {
+    "pitch_mm": (1.5, 2.4),
+    "lattice_rotation_deg": (0.0, 60.0),
+    "pin_length_pitches": (1.4, 2.0),
+    "pin_tip_radius_pitches": (0.33, 0.38),
+    "pin_base_radius_pitches": (0.24, 0.32),
+    "marker_radius_pitches": (0.35, 0.48),
+    "position_tolerance_mm": (0.01, 0.05),
+    "size_tolerance": (0.01, 0.05),
+    "skin_decay_mm": (1.5, 3.5),
+    "friction": (0.8, 1.0),
+}
+_DRAG_STREAM = 4
+_DRAG = {
+    "drag_decay_mm": (2.5, 8.0),
+    "coulomb": (0.8, 4.0),
+    "sway": (0.0, 0.5),
+    "pin_lag": (0.0, 0.3),
+}
+_CREEP_STREAM = 6
+_CREEP_PART = {"creep_part": (0.0, 0.11)}
+_CREEP_S = (0.1, 3.0)
+_LIGHT = {
+    "light": (140.0, 235.0),
+    "vignetting": (0.1, 0.5),
+    "marker_reflectance": (0.85, 1.0),
+    "skin_reflectance": (0.08, 0.2),
+    "pin_reflectance": (0.04, 0.1),
+}
+_BLUE, _RED = (1.0, 1.15), (0.85, 1.0)
+_NOISE = {
+    "blur_px": (0.4, 1.2),
+    "read_noise_grey": (0.8, 3.0),
+    "shot_noise_grey": (1.0, 4.0),
+}
+_BRIGHT_PART = 0.6
+_SPOTS_MAX = 6
+
+
 def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 640) -> SensorModel:
     """Draw a sensor of the TacShade family with random print, lens and light; the same seed gives
     the same sensor. The ranges exclude sensors that a ball darkens.
     """
     rng = np.random.default_rng(seed)
-
-    def draw(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
+    drag_rng = np.random.default_rng((seed, _DRAG_STREAM))
+    creep_rng = np.random.default_rng((seed, _CREEP_STREAM))
     side_px = min(image_height_px, image_width_px)
-    drag_rng = np.random.default_rng(
-        (seed, 4)
-    )  # a separate stream keeps the sensors drawn before drag was added
-    creep_rng = np.random.default_rng((seed, 6))
-    disc_radius_px = side_px * draw(0.36, 0.45)
+    disc_radius_px = side_px * float(rng.uniform(0.36, 0.45))
     slack_px = 0.5 * side_px - disc_radius_px
     return SensorModel(
-        skin_radius_mm=draw(17.0, 28.0),
-        camera_distance_mm=draw(6.0, 26.0),
-        visible_half_angle_deg=draw(42.0, 55.0),
         image_height_px=image_height_px,
         image_width_px=image_width_px,
-        row_c=(image_height_px - 1) / 2 + draw(-0.8, 0.8) * slack_px,
-        col_c=(image_width_px - 1) / 2 + draw(-0.8, 0.8) * slack_px,
         disc_radius_px=disc_radius_px,
-        pitch_mm=draw(1.5, 2.4),
-        lattice_rotation_deg=draw(0.0, 60.0),
-        pin_length_pitches=draw(1.4, 2.0),
-        pin_tip_radius_pitches=draw(0.33, 0.38),
-        pin_base_radius_pitches=draw(0.24, 0.32),
-        marker_radius_pitches=draw(0.35, 0.48),
-        position_tolerance_mm=draw(0.01, 0.05),
-        size_tolerance=draw(0.01, 0.05),
-        skin_decay_mm=draw(1.5, 3.5),
-        friction=draw(0.8, 1.0),
-        drag_decay_mm=float(drag_rng.uniform(2.5, 8.0)),
-        coulomb=float(drag_rng.uniform(0.8, 4.0)),
-        sway=float(drag_rng.uniform(0.0, 0.5)),
-        pin_lag=float(drag_rng.uniform(0.0, 0.3)),
-        creep_part=float(creep_rng.uniform(0.0, 0.11)),
-        creep_s=float(np.exp(creep_rng.uniform(math.log(0.1), math.log(3.0)))),
-        light=draw(140.0, 235.0),
-        vignetting=draw(0.1, 0.5),
-        marker_reflectance=draw(0.85, 1.0),
-        skin_reflectance=draw(0.08, 0.2),
-        pin_reflectance=draw(0.04, 0.1),
-        colour_bgr=(draw(1.0, 1.15), 1.0, draw(0.85, 1.0)),
-        blur_px=draw(0.4, 1.2),
-        read_noise_grey=draw(0.8, 3.0),
-        shot_noise_grey=draw(1.0, 4.0),
-        surround="bright" if rng.random() < 0.6 else "dark",
-        specular_spots=int(rng.integers(0, 7)),
         print_seed=seed,
+        **_drawn(rng, _LENS),
+        row_c=(image_height_px - 1) / 2 + float(rng.uniform(-0.8, 0.8)) * slack_px,
+        col_c=(image_width_px - 1) / 2 + float(rng.uniform(-0.8, 0.8)) * slack_px,
+        **_drawn(rng, _PRINT_AND_SKIN),
+        **_drawn(drag_rng, _DRAG),
+        **_drawn(creep_rng, _CREEP_PART),
+        creep_s=float(np.exp(creep_rng.uniform(math.log(_CREEP_S[0]), math.log(_CREEP_S[1])))),
+        **_drawn(rng, _LIGHT),
+        colour_bgr=(float(rng.uniform(*_BLUE)), 1.0, float(rng.uniform(*_RED))),
+        **_drawn(rng, _NOISE),
+        surround="bright" if rng.random() < _BRIGHT_PART else "dark",
+        specular_spots=int(rng.integers(0, _SPOTS_MAX + 1)),
     )
+
+
+def _drawn(rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+    return {name: float(rng.uniform(*span)) for name, span in ranges.items()}
 
 
 def flattened(model: SensorModel) -> SensorModel:

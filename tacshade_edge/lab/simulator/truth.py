@@ -28,6 +28,11 @@ CONTACT_TOLERANCE_MM = 0.02
 
 _MARCH_STEPS = 16
 _REFINE_STEPS = 8
+# The march ends on the least sphere around the skin, so a ray to undeformed skin comes no further
+# than to 0, and rounding may leave it below.
+_ON_SKIN_MM = 1e-9
+_LEAST_GAP_MM = 1e-12
+_LEAST_MM = 1e-6  # less is rounding: `measure` calls it undeformed
 _INVERSE_STEPS = 60
 _INVERSE_TOLERANCE_MM = 1e-3
 
@@ -61,7 +66,7 @@ def measure(
         return Truth(height, contact, np.empty((0, 3), np.float32), _object_points(skin), 0.0)
     points = skin_points(skin, geometry, rows[inside].astype(float), cols[inside].astype(float))
     h = np.maximum(height_of(points, skin.radius_mm), 0)
-    h[h < 1e-6] = 0
+    h[h < _LEAST_MM] = 0
     height[inside] = h
     # An object may touch a leaning dome where it bulges outwards.
     touching = np.ones(len(h), bool) if skin.leaning_mm is not None else h > 0
@@ -108,15 +113,14 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
         s = (start + k * step)[searching]
         f = outside(s, searching)
         index = np.flatnonzero(searching)
-        crossed = f >= -1e-9
+        crossed = f >= -_ON_SKIN_MM
         high[index[crossed]], f_high[index[crossed]] = s[crossed], np.maximum(f[crossed], 0)
         low[index[~crossed]], f_low[index[~crossed]] = s[~crossed], f[~crossed]
         searching[index[crossed]] = False
     for _ in range(_REFINE_STEPS):  # the Illinois variant of regula falsi
         gap = f_high - f_low
-        s = np.where(
-            gap > 1e-12, (low * f_high - high * f_low) / np.where(gap > 1e-12, gap, 1), high
-        )
+        wide = gap > _LEAST_GAP_MM
+        s = np.where(wide, (low * f_high - high * f_low) / np.where(wide, gap, 1), high)
         f = outside(s, everything)
         up = f >= 0
         f_low, f_high = np.where(up, f_low / 2, f), np.where(up, f, f_high / 2)

@@ -7,10 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.lab.simulator.drag import drag_skin, leant_mm
+from tacshade_edge.lab.simulator.membrane import slid, solve
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.lab.simulator.render import carried
 from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG, SensorModel
-from tacshade_edge.lab.simulator.skin import Skin, chart_to_direction, press_skin, slid, solve
+from tacshade_edge.lab.simulator.skin import Skin, chart_to_direction, press_skin
 from tacshade_edge.lab.simulator.truth import SimulatedSensor, shear_mm
 from tacshade_edge.types import F32, F64
 
