@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.inputs import Contradiction, ContradictionError, KnownPress
 from tacshade_edge.calibration.observation import (
     PressObservation,
     first_touch_mm,
@@ -227,7 +227,7 @@ class Selection:
     observations: tuple[PressObservation, ...]
     warnings: tuple[str, ...]
     polarity: Polarity
-    wrong_keys: str
+    wrong_keys: Contradiction | None
     answers: tuple[Inverse | None, ...]
 
 
@@ -277,7 +277,7 @@ def select_presses(
         otherwise = [check.observe(look.maps.inverted(), press) for press, look in pressed]
         if hint := polarity_hint(observations, otherwise, polarity):
             if polarity_stated:
-                raise ConfigError(hint)
+                raise ContradictionError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
     observations = [
         check.see(look, each, press)
@@ -286,12 +286,9 @@ def select_presses(
     keys = wrong_keys(observations, geometry)
     if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
         # Balls seem to have another size if the skin has.
-        raise ConfigError(
-            keys
-            if keys and mistakes[0].startswith("PRESSES.csv: radius_mm")
-            else "; ".join(mistakes)
-        )
-    warnings += [keys] if keys else []
+        is_of_balls = mistakes[0].key == "radius_mm"
+        raise ContradictionError(*((keys,) if keys and is_of_balls else mistakes))
+    warnings += [str(keys)] if keys else []
     disagreeing = outliers(observations, geometry)
     left_out += disagreeing.values()
     usable = [k for k in range(len(pressed)) if k not in disagreeing]

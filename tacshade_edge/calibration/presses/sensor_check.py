@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tacshade_edge.calibration.indenters import ball_height_along, stated_ball
+from tacshade_edge.calibration.inputs import Contradiction
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.sensor.depth.learned import scale_mm
 from tacshade_edge.types import Geometry
@@ -46,32 +47,43 @@ _ALIKE = 0.1
 _LENS_FACTORS = np.exp(np.linspace(-math.log(2), math.log(2), 9))
 
 
-def wrong_keys(observations: Sequence[PressObservation], geometry: Geometry) -> str:
+def wrong_keys(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> Contradiction | None:
     """The keys that explain the presses far better with another value, and that value, or another
-    form of the skin that does better still; empty if none does, or any key.
+    form of the skin that does better still; None if none does, or any key.
     """
     balls = [o for o in observations if o.is_seen and o.x_mm is not None and not o.indenter]
     if not balls:
-        return ""
+        return None
     stated = _misfit(balls, geometry, geometry)
     found = {key: _best_value(balls, geometry, key, stated) for key in _keys(geometry)}
     best = max(gain for gain, _ in found.values())
     form_gain, form = _best_form(balls, geometry, stated)
     enough = max(_GAIN_EACH * len(balls), _LEAST_GAIN)
     least = max(enough, _PART_OF_BEST * max(best, form_gain))
-    named = [(gain, _said(geometry, key, at)) for key, (gain, at) in found.items() if gain >= least]
+    named = [
+        (gain, _NAMES.get(key, key), _said(geometry, key, at))
+        for key, (gain, at) in found.items()
+        if gain >= least
+    ]
     if len(named) == len(found) and form_gain < best + enough:
-        return ""
+        return None
     if form_gain >= least:
-        named.append((form_gain, f"skin: found {_words(geometry)}, expected {_words(form)}"))
-    words = [f"{said} by the presses" for _, said in sorted(named, reverse=True)]
-    return f"SENSOR.yaml: {'; or '.join(words)}" if words else ""
+        named.append((form_gain, "skin", f"found {_words(geometry)}, expected {_words(form)}"))
+    if not named:
+        return None
+    (_, likeliest, problem), *others = sorted(named, reverse=True)
+    alternatives = (f"; or {key}: {said} by the presses" for _, key, said in others)
+    return Contradiction(
+        "SENSOR.yaml", likeliest, f"{problem} by the presses{''.join(alternatives)}"
+    )
 
 
 def _said(geometry: Geometry, key: str, at: float) -> str:
     stated = getattr(geometry, key)
     found = "none" if stated is None else f"{stated:.4g}"
-    return f"{_NAMES.get(key, key)}: found {found}, expected about {at:.0f}"
+    return f"found {found}, expected about {at:.0f}"
 
 
 def _keys(geometry: Geometry) -> tuple[str, ...]:

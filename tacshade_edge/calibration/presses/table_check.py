@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tacshade_edge.calibration.indenters import Placed
+from tacshade_edge.calibration.inputs import Contradiction, ContradictionError
 from tacshade_edge.calibration.observation import PressObservation, with_stated_place
-from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Geometry, Polarity
 
@@ -73,7 +73,9 @@ _HUBER, _ITERATIONS = 1.5, 25
 _LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
 
 
-def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
+def gross_mistakes(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> tuple[Contradiction, ...]:
     """Mistakes that all presses share, or in the skin's size.
 
     Only a network that sees the presses finds sizes.
@@ -88,22 +90,22 @@ def gross_mistakes(observations: Sequence[PressObservation], geometry: Geometry)
     return tuple(mistake for mistake in mistakes if mistake)
 
 
-def unit_mistake(factor: float) -> str:
-    """A message about a wrong unit of depths that images show as this much greater than stated;
-    empty if right.
-    """
+def unit_mistake(factor: float) -> Contradiction | None:
+    """A wrong unit of depths that images show as this much greater than stated; None if right."""
     if not factor > _UNIT_FACTOR:
-        return ""
+        return None
     unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
-    return (
-        f"PRESSES.csv: depth_mm: the images show presses about {factor:.0f} times as deep as "
-        f"stated: are the depths in {unit}? expected mm"
+    return Contradiction(
+        "PRESSES.csv",
+        "depth_mm",
+        f"the images show presses about {factor:.0f} times as deep as stated: are the depths in "
+        f"{unit}? expected mm",
     )
 
 
 def size_mistake(
     depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
-) -> str:
+) -> Contradiction | None:
     """A wrong size of the skin or of all balls, by median ratios of shown to stated depths
     and radii (NaN: unknown).
     """
@@ -119,17 +121,21 @@ def size_mistake(
             key, radius_mm = "visible_radius_mm", geometry.visible_radius_mm
         asked = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
         expected = f"expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
-        return (
-            f"SENSOR.yaml: {key}: found {radius_mm:g}, but with it the images show presses about "
-            f"{skin:.1f} times as large as PRESSES.csv: is it {asked}? {expected}"
+        return Contradiction(
+            "SENSOR.yaml",
+            key,
+            f"found {radius_mm:g}, but with it the images show presses about {skin:.1f} times as "
+            f"large as PRESSES.csv: is it {asked}? {expected}",
         )
     if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
         asked = "are they diameters?" if ball < 1 else "are they halved?"
-        return (
-            f"PRESSES.csv: radius_mm: the images show balls of about {ball:.1f} times the stated "
-            f"radii: {asked} expected radii in mm"
+        return Contradiction(
+            "PRESSES.csv",
+            "radius_mm",
+            f"the images show balls of about {ball:.1f} times the stated radii: {asked} expected "
+            "radii in mm",
         )
-    return ""
+    return None
 
 
 def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> float:
@@ -162,40 +168,43 @@ def other_polarity(polarity: Polarity) -> Polarity:
 
 def polarity_hint(
     observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity
-) -> str:
+) -> Contradiction | None:
     """A hint at the other polarity, if the places of the same presses then fit clearly better;
-    empty otherwise.
+    None otherwise.
     """
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
-        return ""
+        return None
     error, else_error = _error_mm(found), _error_mm(else_found)
     reach = float(np.median([math.hypot(*o.place_mm) for o in found]))
     if else_error > _POLARITY_PART * error or error < _POLARITY_LEAST_PART * reach:
-        return ""
+        return None
     if else_error > min(_error_mm(found, axes) for axes in _AXES.values()):
-        return ""  # other axes explain it better
-    return (
-        f"SENSOR.yaml: polarity: found {stated}, expected {other_polarity(stated)}: "
-        f"the places fit within {else_error:.1f} mm with it, not {error:.1f} mm"
+        return None  # other axes explain it better
+    return Contradiction(
+        "SENSOR.yaml",
+        "polarity",
+        f"found {stated}, expected {other_polarity(stated)}: the places fit within "
+        f"{else_error:.1f} mm with it, not {error:.1f} mm",
     )
 
 
-def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> str:
+def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> Contradiction | None:
     """A hint at other axes, or another unit of the places, that fit clearly better;
-    empty if none do.
+    None if none do.
     """
     stated = with_stated_place(observations)
     if len(stated) < _AXES_LEAST_PRESSES:
-        return ""
+        return None
     as_stated = _error_mm(stated)
     best = min(_AXES, key=lambda name: _error_mm(stated, _AXES[name]))
     error = _error_mm(stated, _AXES[best])
     if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
-        return ""
-    return (
-        f"PRESSES.csv: x_mm, y_mm: the places fit within {error:.1f} mm, not {as_stated:.1f} mm, "
-        f"if {best}"
+        return None
+    return Contradiction(
+        "PRESSES.csv",
+        "x_mm, y_mm",
+        f"the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}",
     )
 
 
@@ -232,11 +241,12 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
         (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
         if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):
-            raise ConfigError(
-                "PRESSES.csv: depth_mm: found travel from first touch, judging by the images: "
-                "pass --depth-from-touch, or state the undeformed skin's z at (x, y) minus the z "
-                "of the indenter's lowest point (docs/reference/calibration-files.md)"
+            problem = (
+                "found travel from first touch, judging by the images: pass --depth-from-touch, "
+                "or state the undeformed skin's z at (x, y) minus the z of the indenter's lowest "
+                "point (docs/reference/calibration-files.md)"
             )
+            raise ContradictionError(Contradiction("PRESSES.csv", "depth_mm", problem))
     (slope, offset), (_, deviation) = _robust_fit(x[:, [0, 2]], stated)
     beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
     if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):

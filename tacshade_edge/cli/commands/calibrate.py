@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
@@ -24,7 +23,7 @@ from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
 from tacshade_edge.calibration.files.press_table import read_presses
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.indenters import skin_z_mm
-from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.inputs import ContradictionError, KnownPress
 from tacshade_edge.calibration.press_machine import from_travel
 from tacshade_edge.calibration.reference.pattern import CircleNotFoundError
 from tacshade_edge.calibration.reference.references import rezero
@@ -151,17 +150,12 @@ def run(args: argparse.Namespace) -> int:
             sensor, references, presses, args.allow_loaded_reference, load_networks(), names
         )
     except ConfigError as error:
-        paths = {
-            "SENSOR.yaml": str(args.sensor),
-            "PRESSES.csv": str(args.presses),
-        }  # errors have generic names
-        pattern = r"(?<![\w/])(SENSOR\.yaml|PRESSES\.csv)(?=: )"
         if args.plot:
             guess = error.guess if isinstance(error, CircleNotFoundError) else None
             _plot(args.plot, reference_picture(to_grey(references[0]), guess=guess))
-        raise ConfigError(
-            re.sub(pattern, lambda name: paths[name[0]], str(error)), others=error.others
-        ) from None
+        if isinstance(error, ContradictionError):
+            raise error.with_paths(args.sensor, args.presses) from None
+        raise
     calibration, fitted = result.calibration, None
     if args.plot:
         places = places_px(calibration.geometry, result.presses)

@@ -22,10 +22,8 @@ def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) 
     wrong = replace(stated, **{key: factor * getattr(stated, key)}) if key else stated
     unloaded = calibrate(wrong, references()).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
-    return wrong_keys(
-        [check.observation(check.look(one.image), one) for one in table or presses()],
-        unloaded.geometry,
-    )
+    seen = [check.observation(check.look(one.image), one) for one in table or presses()]
+    return str(wrong_keys(seen, unloaded.geometry) or "")
 
 
 @pytest.mark.slow
@@ -51,7 +49,7 @@ def said_of(pressed: SensorModel, stated: SensorModel) -> str:
     unloaded = calibrate(sensor_of(stated), references(pressed)).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
     seen = [check.observation(check.look(one.image), one) for one in presses(pressed)]
-    return wrong_keys(seen, unloaded.geometry)
+    return str(wrong_keys(seen, unloaded.geometry) or "")
 
 
 @pytest.mark.slow

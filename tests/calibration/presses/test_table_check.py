@@ -47,7 +47,7 @@ Change = Callable[[PressObservation], PressObservation]
 def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
     depth: float, ball: float, said: str
 ) -> None:
-    found = size_mistake(depth, ball, (), GEOMETRY)
+    found = str(size_mistake(depth, ball, (), GEOMETRY) or "")
     assert said in found
     assert bool(said) == bool(found)
 
@@ -94,7 +94,7 @@ def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
     geometry = calibrated(count=0).geometry
     found = gross_mistakes([MISTAKES[mistake](o) for o in seen()], geometry)
     assert len(found) == bool(mistake)
-    assert all(mistake in text for text in found)
+    assert all(mistake in each.problem for each in found)
     unplaced = [replace(MISTAKES[mistake](o), x_mm=None, y_mm=None) for o in seen()]
     assert len(gross_mistakes(unplaced, geometry)) == ("they" in mistake or "depths" in mistake)
 
@@ -105,7 +105,8 @@ def test_axes_are_judged_without_a_network_too(seed: int) -> None:
     presses, geometry = observed(seed)
     assert gross_mistakes(presses, geometry) == ()
     (hint,) = gross_mistakes([turned(0, 1, 1, 0)(o) for o in presses], geometry)
-    assert hint.endswith("if x and y are swapped")
+    assert hint.key == "x_mm, y_mm"
+    assert hint.problem.endswith("if x and y are swapped")
 
 
 def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:
