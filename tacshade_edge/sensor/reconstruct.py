@@ -101,7 +101,7 @@ class Reconstructor:
         self._eye = eye = Eye(calibration, profile, with_network=network is not None)
         reference = eye.seen.calibration.reference_grey
         self._unchanged = UnchangedSkin(
-            reference.shape, eye.seen.calibration.geometry.disc, halved=eye.seen.camera_px == 2
+            reference.shape, eye.seen.calibration.geometry.disc, halved=eye.seen.camera_px > 1
         )
         # Two means find an upper cluster in any map,
         # so the gate decides whether there is a contact.

@@ -112,3 +112,15 @@ def _assert_wire(result: Reconstruction) -> None:
         assert isinstance(shear, binary.ShearMessage)
         expected_mm = np.clip(result.shear_mm, -32.767, 32.767)
         np.testing.assert_allclose(shear.shear_mm, expected_mm, atol=0.0006, equal_nan=True)
+
+
+def assert_nothing(result: Reconstruction, inside: np.ndarray) -> None:
+    """Exactly 0 inside the disc, NaN outside, no object."""
+    height = result.height.height_mm
+    assert not result.contact
+    assert (height[inside] == 0).all()
+    assert np.isnan(height[~inside]).all()
+    assert not result.height.contact.any()
+    assert result.cloud.points_mm.shape == (0, 3)
+    assert result.cloud.labels.shape == (0,)
+    assert (result.objects, result.volume_mm3, result.depth_max_mm) == ((), 0.0, 0.0)

@@ -15,7 +15,12 @@ import numpy as np
 
 from tacshade_edge.reasons import Reason
 from tacshade_edge.sensor.geometry.disc import Window
-from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor, halved_image
+from tacshade_edge.sensor.image.preprocess import (
+    LEAST_SIDE_PX,
+    Preprocessed,
+    Preprocessor,
+    halved_image,
+)
 from tacshade_edge.sensor.profiles import GATE
 from tacshade_edge.types import F32, U8, Calibration, Disc
 
@@ -87,9 +92,9 @@ class UnchangedSkin:
     up.
     """
 
-    def __init__(self, shape: tuple[int, ...], disc: Disc, halved: bool) -> None:
+    def __init__(self, shape: tuple[int, ...], disc: Disc, *, halved: bool) -> None:
         wide = Window.of_disc(shape[0], shape[1], replace(disc, radius_px=_AROUND * disc.radius_px))
-        self._halved = halved or min(shape) < 2
+        self._halved = halved or min(shape) < LEAST_SIDE_PX
         per_px = 1 if self._halved else 2
         self._box = tuple(
             slice(first // per_px, -((first + size) // -per_px))

@@ -168,7 +168,7 @@ def seeds(
     lowest, highest = float(odds[own].min()), float(odds.max())
     levels = [lowest + (highest - lowest) * step / LEVELS for step in range(1, LEVELS)]
     # Every third level crosses a valley that is deep enough: most contacts need no more.
-    if all(len(_lobes(odds, inner, level, least_cells)) < 2 for level in levels[1::3]):
+    if all(len(_lobes(odds, inner, level, least_cells)) <= 1 for level in levels[1::3]):
         return
     seen = {0, 1}
     for level in levels:
@@ -186,7 +186,7 @@ def _lobes(odds: F32, inner: F32, level: float, least_cells: float) -> list[Lobe
         (odds > level).view(np.uint8), connectivity=8
     )
     large = [k for k in range(1, count) if boxes[k, cv2.CC_STAT_AREA] >= PEAK_CELLS]
-    if len(large) < 2:
+    if len(large) <= 1:
         return []
     lobes = []
     for number in large:

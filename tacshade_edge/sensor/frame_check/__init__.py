@@ -31,6 +31,7 @@ class Judges:
         disc: Disc,
         pitch_px: float | None,
         camera_px: int = 1,
+        *,
         unloaded: bool = False,
     ) -> None:
         mask = disc_mask(reference_grey.shape[0], reference_grey.shape[1], disc)
@@ -39,7 +40,7 @@ class Judges:
         self.light = LightJudge(reference_grey, mask)
         self.camera = CameraJudge(reference_grey, disc, camera_px)
         self.skin = pitch_px and PlainSkinJudge(
-            reference_grey, mask, disc, pitch_px, camera_px, unloaded
+            reference_grey, mask, disc, pitch_px, camera_px, unloaded=unloaded
         )
 
     def measured(self, grey: U8) -> tuple[Measured, ...]:

@@ -9,7 +9,7 @@ points tracked from there (Lucas and Kanade 1981), and the similarity that most 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from tacshade_edge.sensor.frame_check.picture import (
     light_drift_reason,
 )
 from tacshade_edge.sensor.image.white import eighth, median
-from tacshade_edge.types import F32, U8, Disc, frozen
+from tacshade_edge.types import F32, F64, U8, Disc, frozen
 
 # What lies between these radii around the disc changes only with the light; from the first on,
 # because a soft tip that sways carries its markers past the edge.
@@ -42,14 +42,21 @@ LEAST_BLOCKS, LEAST_SLOPE, LEFT_PART = 40, 1.0, 0.5
 # Pitch of the lattice of tracked points, the part of the disc that holds them,
 # and the window of each, in pitches.
 _POINT_PITCHES, _RHO_MAX, _WINDOW_PITCHES = 1.0, 0.95, 2.0
+_LEAST_WINDOW_PX = 7
+# A point's search ends after so many steps, or when a step is shorter than this.
+_TRACK_STEPS, _TRACK_PX = 30, 0.01
+_RANSAC_TURNS, _RANSAC_CONFIDENCE = 2000, 0.999
 # A point belongs to the piece if it lies this near to its place by the common motion.
 _INLIER_PX = 0.5
+_MAD = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
 # Fewer points, or a smaller part of all, measure nothing.
 _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # Beyond this part of the disc's radius the geometry is wrong; a smaller shift of the centre, or
 # movement with turn and zoom (of which a deep press alone imitates 1 px), is worth a warning.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
+# A smaller turn or zoom is not worth a word beside the shift.
+_TOLD_DEG, _TOLD_ZOOM = 0.2, 0.005
 
 
 class CameraJudge:
@@ -229,52 +236,65 @@ def drift(reference: CameraLook, grey: U8) -> Drift:
     """
     if len(reference.points) < _LEAST_POINTS or grey.shape != reference.grey.shape:
         return Drift()
-    start = reference.points + _coarse_shift(reference, grey)
-    side = max(int(_WINDOW_PITCHES * reference.pitch_px) | 1, 7)
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
-        reference.grey,
-        grey,
-        reference.points[:, None],
-        start[:, None].copy(),
-        winSize=(side, side),
-        maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    tracked = status.ravel() > 0
-    if np.count_nonzero(tracked) < _LEAST_POINTS:
+    before, after = _tracked(reference, grey)
+    if len(before) < _LEAST_POINTS:
         return Drift()
-    before, after = reference.points[tracked], found[:, 0][tracked]
     matrix, inliers = cv2.estimateAffinePartial2D(
         before,
         after,
         method=cv2.RANSAC,
         ransacReprojThreshold=_INLIER_PX,
-        maxIters=2000,
-        confidence=0.999,
+        maxIters=_RANSAC_TURNS,
+        confidence=_RANSAC_CONFIDENCE,
     )
     if matrix is None:
         return Drift()
     still = inliers.ravel() > 0
+    # Of all points, not of those tracked: a contact that hides half the pattern leaves half of it.
     part = float(np.count_nonzero(still) / len(reference.points))
     if np.count_nonzero(still) < _LEAST_POINTS or part < _LEAST_PART:
         return Drift()
-    disc = reference.disc
+    light, uneven, contrast = _light(reference, grey, before[still], after[still])
+    return replace(
+        _movement(matrix, reference.disc),
+        still_part=part,
+        light=light,
+        uneven=uneven,
+        contrast=contrast,
+    )
+
+
+def _tracked(reference: CameraLook, grey: U8) -> tuple[F32, F32]:
+    """The reference's points that are found in an image, there and here, (N, 2) each."""
+    start = reference.points + _coarse_shift(reference, grey)
+    side = _window_px(reference.pitch_px)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        reference.grey,
+        grey,
+        reference.points[:, None],
+        start[:, None].copy(),  # OpenCV writes into it, and refuses a view
+        winSize=(side, side),
+        # No pyramid: the coarse shift leaves less than a pitch, and coarser pictures lose the pins.
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _TRACK_STEPS, _TRACK_PX),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    tracked = status.ravel() > 0
+    return reference.points[tracked], found[:, 0][tracked]
+
+
+def _movement(matrix: F64, disc: Disc) -> Drift:
+    """What a similarity (2, 3) of (col, row), turn and zoom in its left part, does to the disc."""
     centre = np.array([disc.col_c, disc.row_c])
     col_px, row_px = matrix[:, :2] @ centre + matrix[:, 2] - centre
-    scale = math.hypot(matrix[0, 0], matrix[1, 0])
+    # About its own centre, the rim moves by |s e^(iφ) - 1| of the radius.
     rim = disc.radius_px * math.hypot(matrix[0, 0] - 1, matrix[1, 0])
-    light, uneven, contrast = _light(reference, grey, before[still], after[still])
     return Drift(
-        still_part=part,
         moved_px=math.hypot(row_px, col_px) + rim,
         row_px=float(row_px),
         col_px=float(col_px),
         turn_deg=math.degrees(math.atan2(matrix[1, 0], matrix[0, 0])),
-        zoom=scale,
-        light=light,
-        uneven=uneven,
-        contrast=contrast,
+        zoom=math.hypot(matrix[0, 0], matrix[1, 0]),
     )
 
 
@@ -285,8 +305,10 @@ def shift_reason(found: Drift, disc: Disc) -> Reason | None:
         and found.moved_px <= RIM_PART * disc.radius_px
     ):
         return None
-    turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > 0.2 else ""
-    zoomed = f", scaled by {100 * (found.zoom - 1):+.1f} %" if abs(found.zoom - 1) > 0.005 else ""
+    turned = f", turned by {found.turn_deg:.2f} degrees" if abs(found.turn_deg) > _TOLD_DEG else ""
+    zoomed = (
+        f", scaled by {100 * (found.zoom - 1):+.1f} %" if abs(found.zoom - 1) > _TOLD_ZOOM else ""
+    )
     return Reason(
         ReasonCode.CAMERA_SHIFT, f"the image moved by {found.shift_px:.1f} px{turned}{zoomed}"
     )
@@ -297,9 +319,14 @@ def shifted_too_far(found: Drift, disc: Disc) -> bool:
     return found.moved_px > SHIFTED_PART * disc.radius_px
 
 
+def _window_px(pitch_px: float) -> int:
+    """Side of the window around a point, odd as OpenCV's boxes must be to have a middle."""
+    return max(int(_WINDOW_PITCHES * pitch_px) | 1, _LEAST_WINDOW_PX)
+
+
 def _statistics(grey: U8, pitch_px: float) -> tuple[F32, F32]:
     """Local mean and standard deviation at each pixel, over whole markers."""
-    side = max(int(_WINDOW_PITCHES * pitch_px) | 1, 7)
+    side = _window_px(pitch_px)
     values = grey.astype(np.float32)
     mean = cv2.blur(values, (side, side))
     square = cv2.blur(values * values, (side, side))
@@ -331,5 +358,5 @@ def _light(reference: CameraLook, grey: U8, before: F32, after: F32) -> tuple[fl
     ratio = np.log(np.maximum(level[new], 1) / np.maximum(reference.level[old], 1))
     sharp = np.log(np.maximum(contrast[new], 0.5) / np.maximum(reference.contrast[old], 0.5))
     light = float(np.median(ratio))
-    uneven = 1.4826 * float(np.median(np.abs(ratio - light)))
+    uneven = _MAD * float(np.median(np.abs(ratio - light)))
     return math.exp(light), uneven, math.exp(float(np.median(sharp - ratio)))

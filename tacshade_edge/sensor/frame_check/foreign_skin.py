@@ -35,6 +35,8 @@ TEXTURED_STD, LOST_STD, LOST_PART, LOST_ROWS, ROW_SQUARES, LEAST_SQUARE_PX = 8.0
 # medians of all rows, and more than in the reference (good frames reach 1.9), in three of four
 # bands of columns: a contact's edge may follow a row, but not across the disc.
 SPIKE, ROW_PX, BANDS, BAND_SPIKE = 2.1, 60, 4, 0.5
+# Fewer rows of `ROW_PX` have hardly a row with two neighbours on each side.
+LEAST_ROWS = 8
 
 
 def map_measured(untrusted_logit: F32 | None, inside: Bool) -> tuple[Measured, ...]:
@@ -100,6 +102,7 @@ class PlainSkinJudge:
         disc: Disc,
         pitch_px: float,
         camera_px: int,
+        *,
         unloaded: bool,
     ):
         self._camera_px = camera_px
@@ -120,7 +123,7 @@ class PlainSkinJudge:
         self._lost_most = np.where(enough, LOST_PART * total, np.inf)
         long = np.flatnonzero(np.count_nonzero(mask[:-1], axis=1) >= ROW_PX)
         self._rows = None
-        if unloaded and long.size >= 8:
+        if unloaded and long.size >= LEAST_ROWS:
             self._rows = slice(int(long[0]), int(long[-1]) + 2)  # a disc's long rows are contiguous
             columns = np.flatnonzero(mask.any(axis=0))
             self._edges = np.linspace(columns[0], columns[-1] + 1, BANDS + 1).astype(int).tolist()

@@ -151,6 +151,9 @@ UNSEEN_INVALID = 0.4
 COMPENSATED_LOW, COMPENSATED_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
 
 
+_WHOLE = 255  # the mean of a mask over a block that it covers
+
+
 class LightJudge:
     """Judges the light of the disc, `mask` bool (H, W), by that of the mean reference, uint8 (H,
     W).
@@ -166,7 +169,7 @@ class LightJudge:
             # Half of the part above Otsu's level (1979): pins may cover a twentieth of the disc.
             self._bright_part = min(float(np.mean(inside > split)) / 2, BRIGHT_PART)
         self._bright = max(level_at(sample, self._sampled, 1 - self._bright_part), 1.0)
-        whole = eighth(np.where(mask, np.uint8(255), np.uint8(0))) == 255
+        whole = eighth(np.where(mask, np.uint8(255), np.uint8(0))) == _WHOLE
         mean, deviation = squares(reference_grey, 8)
         self._textured = np.flatnonzero(whole & (deviation >= TEXTURED_STD))
         self._common = max(median(mean.take(self._textured)), 1.0) if self._textured.size else 1.0

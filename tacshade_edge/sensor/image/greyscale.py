@@ -17,6 +17,7 @@ ITERATIONS_MAX = 200
 # The iteration ends when the cost falls by less than this part of its first value.
 ENOUGH = 2.0e-4
 _TAU = 0.25  # the step, 1 / (2 dimensions)
+_GREY_AXES = 2  # of an image without colours
 
 
 def to_grey(image: U8, space: U8 | None = None) -> U8:
@@ -24,7 +25,7 @@ def to_grey(image: U8, space: U8 | None = None) -> U8:
 
     The result may use `space`, (H, W).
     """
-    if image.ndim == 2:
+    if image.ndim == _GREY_AXES:
         return image
     grey: U8 = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=space)
     return grey

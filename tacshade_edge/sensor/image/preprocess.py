@@ -35,6 +35,10 @@ VOTING_WINDOW_PART = 0.75
 MOVED_PARTS = (1 / 8, 3 / 4, 1 / 8)
 # Finer patterns are not halved: the networks have seen few pitches below 7 px.
 LEAST_PITCH_PX = 14.0
+# A smaller image has no mean over 2x2 px.
+LEAST_SIDE_PX = 2
+# A pixel of the reference's white, 0 to 255, beyond this was white in most of its images.
+HALF_WHITE = 127
 # Every box of this many pitches holds part of a black pin, in contact too (measured: 0.9 is
 # enough), except under glare, where its darkest pixel exceeds the reference's by GLARE_LIFT and by
 # GLARE_PART of the reference's range from dark to bright; another exposure lifts the dark less.
@@ -96,7 +100,7 @@ class Preprocessor:
         reference = self.window.cut(calibration.reference_white)
         self.reference_white = self.integrator.integrate(reference)
         self.reference_g: F32 = self.ratio(self.reference_white) / np.float32(255)
-        self._reference_binary: U8 = (reference > 127).astype(np.uint8)
+        self._reference_binary: U8 = (reference > HALF_WHITE).astype(np.uint8)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
 
     @property
@@ -202,7 +206,7 @@ def is_halved(calibration: Calibration, profile: Profile) -> bool:
     """
     side_px = min(calibration.image_height_px, calibration.image_width_px)
     wanted = profile.halved or (profile.network is not None and calibration.binarisation == "otsu")
-    return wanted and calibration.pitch_px >= LEAST_PITCH_PX and side_px > 1
+    return wanted and calibration.pitch_px >= LEAST_PITCH_PX and side_px >= LEAST_SIDE_PX
 
 
 def halved_image(grey: U8) -> U8:
@@ -211,7 +215,7 @@ def halved_image(grey: U8) -> U8:
     """
     return (
         grey
-        if min(grey.shape) < 2
+        if min(grey.shape) < LEAST_SIDE_PX
         else halved(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2])
     )
 

@@ -40,6 +40,9 @@ def odd(size: float) -> int:
     return max(2 * round((size - 1) / 2) + 1, 1)
 
 
+_WHOLE = 255  # the mean of a mask over a block that it covers
+
+
 class Binariser:
     """Binarises grey images of one disc, `mask` 0 or 1.
 
@@ -57,7 +60,7 @@ class Binariser:
         self._masked, self._white, self._threshold = (np.zeros_like(self._inside) for _ in range(3))
         self._box = (odd(ADAPTIVE_PITCHES * pitch_px / BLOCK_PX),) * 2
         # A block partly outside the disc would round to another mean.
-        self._whole: U8 = np.where(_quarter(self._opaque) == 255, np.uint8(255), np.uint8(0))
+        self._whole: U8 = np.where(_quarter(self._opaque) == _WHOLE, np.uint8(255), np.uint8(0))
         count = self._sums(self._whole) / np.float32(255)
         self._per_box: F32 = np.divide(
             np.float32(1), count, out=np.zeros_like(count), where=count > 0

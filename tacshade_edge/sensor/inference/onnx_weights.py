@@ -28,6 +28,9 @@ _ATTRIBUTE_NAME, _INTEGER, _INTEGERS = 1, 3, 8
 _FLOAT = 1
 _VARINT, _BYTES = 0, 2
 _FIXED_BYTES = {1: 8, 5: 4}
+# A number's bytes hold seven bits each; the eighth says that another byte follows. Of 64 bits, the
+# last byte holds the highest one: a longer number is no number, but would never end.
+_SEVEN_BITS, _MORE, _LAST_SHIFT = 127, 128, 63
 
 
 class Field(NamedTuple):
@@ -149,8 +152,8 @@ def joined(graph: bytes, more: bytes) -> bytes:
 def message(number: int, content: bytes) -> bytes:
     """A field that holds bytes or a message, encoded; its number is below 16."""
     made, left = bytearray([number << 3 | _BYTES]), len(content)
-    while left > 127:
-        made.append(left & 127 | 128)
+    while left > _SEVEN_BITS:
+        made.append(left & _SEVEN_BITS | _MORE)
         left >>= 7
     return bytes(made) + bytes([left]) + content
 
@@ -199,10 +202,10 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
     """A number stored in 7 bits a byte, the lowest first, and the offset after it."""
     value = shift = 0
     while True:
-        if at >= len(data) or shift > 63:
+        if at >= len(data) or shift > _LAST_SHIFT:
             raise ValueError(f"no number ends at byte {at}")
         byte = data[at]
-        value |= (byte & 127) << shift
+        value |= (byte & _SEVEN_BITS) << shift
         at, shift = at + 1, shift + 7
-        if byte < 128:
+        if byte < _MORE:
             return value, at

@@ -40,6 +40,7 @@ _SLOPES = np.array((0.0, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5), np.float32)
 _BENDS_PER_MM = np.array(
     (-0.4, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.4, 0.8), np.float32
 )  # classes of slope and curvature
+_NEAR = 0.05  # of the smoothed contact: bends farther outside are the free skin's
 _SOBEL = 1 / 8  # makes OpenCV's sum a derivative per cell
 _NOTHING = 1e-6
 
@@ -150,7 +151,7 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
     touched = cv2.GaussianBlur(own.astype(np.float32), (0, 0), blur)
     o_x, o_y = _gradient(touched, side)
     outline = _length(o_x, o_y)
-    bend = np.maximum(mean + apart - np.float32(2 / geometry.skin_radius_mm), 0) * (touched > 0.05)
+    bend = np.maximum(mean + apart - np.float32(2 / geometry.skin_radius_mm), 0) * (touched > _NEAR)
     sides = _directions(o_x, o_y, np.stack((outline, outline * bend)))
     slopes = _directions(z_x, z_y, np.stack((bend * weight, slope * own * weight)))
     totals = (

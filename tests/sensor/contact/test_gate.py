@@ -146,7 +146,7 @@ def test_a_frame_of_another_size_or_black_is_not_taken_for_it() -> None:
 def test_one_pixel_decides(levels: float, shown: bool, halved: bool) -> None:
     calibration = calibrated()
     grey = calibration.reference_grey.copy()
-    memory = UnchangedSkin(grey.shape, calibration.geometry.disc, halved)
+    memory = UnchangedSkin(grey.shape, calibration.geometry.disc, halved=halved)
     assert not memory.shown_in(grey), "no frame was judged"
     disc = calibration.geometry.disc
     row, col = round(disc.row_c) // 2 * 2, round(disc.col_c) // 2 * 2

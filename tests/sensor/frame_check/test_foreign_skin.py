@@ -108,7 +108,7 @@ STRIPES = camera_faults.noise(
 
 
 def torn_text(grey: U8, reference: U8 = STRIPES, unloaded: bool = True) -> str:
-    judge = PlainSkinJudge(reference, disc_mask(100, 120, DISC), DISC, 12.0, 1, unloaded)
+    judge = PlainSkinJudge(reference, disc_mask(100, 120, DISC), DISC, 12.0, 1, unloaded=unloaded)
     return text_of(first_reason(judge.measured(grey)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tacshade_edge.sensor.touch import learning
+from tacshade_edge.sensor.touch import regression
 from tacshade_edge.sensor.touch.learning import LearntTouch, learn
 from tacshade_edge.sensor.touch.touch_answer import predict
 from tacshade_edge.types import F32, F64, I64
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow  # a model each: seconds of a core
 @pytest.fixture(autouse=True)
 def few_widths(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each width costs a fit."""
-    monkeypatch.setattr(learning, "WIDTHS", (1.0, 2.0))
+    monkeypatch.setattr(regression, "WIDTHS", (1.0, 2.0))
 
 
 def table(rows: int, seed: int, noise: float = NOISE) -> tuple[F32, F64]:
