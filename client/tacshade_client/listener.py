@@ -6,22 +6,26 @@ import itertools
 import logging
 import os
 import secrets
-import ssl
-import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final, Self
 
-from paho.mqtt.client import Client, MQTTMessage, topic_matches_sub
-from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
+from paho.mqtt.client import MQTTMessage, topic_matches_sub
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from .errors import ConfigError, DecodeError, DeviceError
 from .messages import Message, decode_message
+from .mqtt.client import (
+    FRAMES_BYTES_MAX,
+    BrokerAddress,
+    BrokerSession,
+    SessionEvents,
+    broker_at,
+    denial,
+)
 from .quoting import quoted
 from .reasons import ReasonCode
 from .wire.broker_address import host_and_port
@@ -38,10 +42,6 @@ for all others every message waits, in order.
 WAITING_MAX: Final = 256
 """Most waiting messages; the next one replaces the oldest."""
 _FIRST_S: Final = 5.0
-_CONNECT_S: Final = 3.0
-_RECONNECT_S: Final = 1
-_KEEPALIVE_S: Final = 10
-_BYTES_MAX: Final = 1 << 26
 _LOG_PERIOD_S: Final = 10.0
 SILENT_S = 5.0
 """Silence from the start after which the sensors that are there are asked for:
@@ -51,21 +51,6 @@ _STATES: Final = "tacshade/+/state"
 _STATES_S: Final = 1.0
 _THERE_MAX: Final = 64
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
-
-
-class _Session(Client):
-    """paho's client, whose thread reports the exception that ends it."""
-
-    on_crash: Callable[[Exception], None]
-
-    def loop_forever(
-        self, timeout: float = 1.0, retry_first_connection: bool = False
-    ) -> MQTTErrorCode:
-        try:
-            return super().loop_forever(timeout, retry_first_connection)
-        except Exception as error:  # noqa: BLE001 - `Listener.get` raises it in the reader's thread
-            self.on_crash(error)
-            return MQTTErrorCode.MQTT_ERR_UNKNOWN
 
 
 def listen(
@@ -111,28 +96,9 @@ def listen(
         raise ConfigError(f"name: found {quoted(name)}, expected {_NAME}")
     if password is not None and username is None:
         raise ConfigError("password: found a password without a username, expected both")
-    client = _Session(
-        CallbackAPIVersion.VERSION2,
-        client_id=f"tacshade-client-{secrets.token_hex(6)}",
-        protocol=MQTTProtocolVersion.MQTTv5,
-    )
-    client.reconnect_delay_set(_RECONNECT_S, _RECONNECT_S)
-    client.connect_timeout = _CONNECT_S
-    if username is not None:
-        client.username_pw_set(username, password)
-    if ca_file is not None:
-        try:
-            client.tls_set(ca_certs=os.fspath(ca_file))
-        except (OSError, ssl.SSLError) as error:
-            found = f"{os.fspath(ca_file)}: {error.strerror or error}"
-            raise ConfigError(f"{found}, expected a PEM file with certificates") from error
-    listener = Listener(client, host, port, name, topics)
-    try:
-        listener._wait_for_subscription()
-    except BaseException:
-        listener.close()
-        raise
-    return listener
+    tls_ca = None if ca_file is None else os.fspath(ca_file)
+    broker_address = broker_at(host, port, username=username, password=password, tls_ca=tls_ca)
+    return Listener(broker_address, name, topics)
 
 
 class Listener(Iterator[Message]):
@@ -151,16 +117,14 @@ class Listener(Iterator[Message]):
         Number of messages that no daemon publishes (the log shows the first, and one every 10 s).
     """
 
-    def __init__(
-        self, client: _Session, host: str, port: int, name: str, topics: Collection[str]
-    ) -> None:
+    def __init__(self, broker: BrokerAddress, name: str, topics: Collection[str]) -> None:
         self.passed_over = self.dropped = self.refused = 0
-        self._client, self._where, self._base = client, f"{host}:{port}", f"tacshade/{name}"
+        self._where, self._base = f"{broker['host']}:{broker['port']}", f"tacshade/{name}"
         self._came = threading.Condition()
         self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}
         self._numbers = itertools.count()
         self._topics = self._full(topics)
-        self._connected = self._subscribed = self._closed = False
+        self._subscribed = self._closed = False
         self._failure: tuple[str, ReasonCode] | None = None
         self._crash: Exception | None = None
         self._next_line_s = 0.0
@@ -168,13 +132,28 @@ class Listener(Iterator[Message]):
         self._there: dict[str, str] | None = (
             None  # the state of each sensor, asked for after a long silence
         )
-        client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
-        client.on_disconnect, client.on_subscribe = self._on_disconnect, self._on_subscribe
-        client.on_message, client.on_crash = self._on_message, self._on_crash
-        limits = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-        limits.MaximumPacketSize = _BYTES_MAX
-        client.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=limits)
-        client.loop_start()
+        events = SessionEvents(
+            accepted=self._on_accepted,
+            subscribed=self._on_subscribed,
+            rejected=lambda text, _code: self._fail(text, ReasonCode.REFUSED),
+            unreachable=lambda _error, text: self._fail(text, ReasonCode.UNREACHABLE),
+            lost=lambda code: self._fail(f"connection lost ({code})", ReasonCode.LOST),
+            heard=self._on_message,
+            crashed=self._on_crash,
+        )
+        self._session = BrokerSession(
+            broker,
+            events,
+            client_id=f"tacshade-client-{secrets.token_hex(6)}",
+            incoming_bytes_max=FRAMES_BYTES_MAX,
+        )
+        self.follow(topics)
+        self._session.start()
+        try:
+            self._wait_for_subscription()
+        except BaseException:
+            self.close()
+            raise
 
     def __next__(self) -> Message:
         if (message := self.get()) is None:
@@ -227,7 +206,7 @@ class Listener(Iterator[Message]):
         """
         if self._there is None:
             self._there, self._ask_s = {}, now_s + _STATES_S
-            self._client.subscribe(_STATES, 0)
+            self._session.subscribe(_STATES, 0)
             return
         self._ask_s = None
         there = (
@@ -238,7 +217,7 @@ class Listener(Iterator[Message]):
         _log.warning("%s: no message on %s so far; there are %s", self._where, topics, there)
         self._there = None
         if _STATES not in self._topics:
-            self._client.unsubscribe(_STATES)
+            self._session.unsubscribe(_STATES)
 
     def follow(self, topics: Collection[str]) -> None:
         """Replace the subscribed topics with these; callable from any thread.
@@ -247,11 +226,10 @@ class Listener(Iterator[Message]):
         """
         wanted = self._full(topics)
         with self._came:
-            new, old, self._topics = wanted - self._topics, self._topics - wanted, wanted
-            if self._connected:  # else the next connection subscribes to all of them
-                self._subscribe(new)
-                if old:
-                    self._client.unsubscribe(sorted(old))
+            self._topics = wanted
+        # With QoS 1 a broker drops messages beyond its queue's size,
+        # and so most of many retained ones.
+        self._session.follow(dict.fromkeys(sorted(wanted), SubscribeOptions(0)))
 
     def close(self) -> None:
         """Disconnect; safe to call twice. A waiting `get` returns None."""
@@ -260,8 +238,7 @@ class Listener(Iterator[Message]):
                 return
             self._closed = True
             self._came.notify_all()
-        self._client.disconnect()
-        self._client.loop_stop()
+        self._session.stop()
 
     def __enter__(self) -> Self:
         return self
@@ -297,14 +274,6 @@ class Listener(Iterator[Message]):
                     code=code,
                 )
 
-    def _subscribe(self, topics: Collection[str]) -> None:
-        # With QoS 1 a broker drops messages beyond its queue's size,
-        # and so most of many retained ones.
-        if topics:
-            self._client.subscribe([(topic, 0) for topic in sorted(topics)])
-        else:
-            self._subscribed = True
-
     def _refuse(self, error: DecodeError) -> None:
         now_s = time.monotonic()
         with self._came:
@@ -324,39 +293,17 @@ class Listener(Iterator[Message]):
                     _log.warning("%s: %s; trying again", self._where, text)
             self._came.notify_all()
 
-    # -- called by paho, in its thread -------------------------------------------------------------
+    # -- called by the session, in paho's thread ---------------------------------------------------
 
-    def _on_connect(
-        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
-    ) -> None:
-        if code.is_failure:
-            self._fail(f"rejects the connection: {code}", ReasonCode.REFUSED)
-            return
+    def _on_accepted(self, _bytes_max: object) -> None:
         with self._came:
-            self._connected = True
-            self._subscribe(self._topics)
-            self._came.notify_all()
+            if not self._topics:  # then there is no answer to wait for
+                self._subscribed = True
+                self._came.notify_all()
 
-    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error = (
-            sys.exception()
-        )  # paho calls this while it handles the error, and does not pass it on
-        text = str(getattr(error, "strerror", None) or error or "no connection")
-        self._fail(text, ReasonCode.UNREACHABLE)
-
-    def _on_disconnect(
-        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
-    ) -> None:
-        with self._came:
-            was, self._connected = self._connected, False
-        if was:
-            self._fail(f"connection lost ({code})", ReasonCode.LOST)
-
-    def _on_subscribe(
-        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
-    ) -> None:
-        if refused := next((code for code in codes if code.is_failure), None):
-            self._fail(f"rejects a subscription: {refused}", ReasonCode.REFUSED)
+    def _on_subscribed(self, codes: list[MqttCode]) -> None:
+        if denied := denial(codes):
+            self._fail(denied, ReasonCode.REFUSED)
             return
         with self._came:
             if self._subscribed and self._failure is not None:
@@ -369,8 +316,7 @@ class Listener(Iterator[Message]):
             self._crash = error
             self._came.notify_all()
 
-    def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
-        topic = message._topic.decode(errors="replace")  # `topic` raises if it is not UTF-8
+    def _on_message(self, topic: str, message: MQTTMessage) -> None:
         if "\ufffd" in topic or not topic.startswith("tacshade/"):
             self._refuse(
                 DecodeError(f"found the topic {quoted(topic)}, expected one of a sensor or hand")

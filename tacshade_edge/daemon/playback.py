@@ -277,7 +277,7 @@ class ReplayLink:
         self._began_s = 0.0
         self._frames = 0
         self._link = MqttLink(
-            **broker,
+            broker,
             base_topic=f"tacshade/{sensor_id}",
             client_id=f"tacshade-replay-{sensor_id}",
             on_request=self._on_request,

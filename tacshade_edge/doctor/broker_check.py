@@ -27,7 +27,7 @@ from tacshade_edge.fixes import (
     no_answer_fix,
     refusal_fix,
 )
-from tacshade_edge.mqtt.client import BrokerAddress, make_client, packet_bytes_max
+from tacshade_edge.mqtt.client import BrokerAddress, BrokerSession, SessionEvents, denial
 from tacshade_edge.mqtt.client_id_guard import place_of
 from tacshade_edge.wire.codec import decode_object
 
@@ -71,27 +71,26 @@ class _Session:
 
     def __init__(self, broker: BrokerAddress, base: str) -> None:
         self.base, self.topic = base, f"{base}/doctor"
-        self.greeting: MqttCode | None = None
+        self.greeted = False
+        self.rejection: MqttCode | None = None
         self.packet_bytes_max: int | None = None
         self.subscribed: list[MqttCode] = []
         self.published: MqttCode | None = None
         self.messages: dict[str, bytes] = {}
-        self.client = make_client(broker, base_topic=base, client_id="")
-        self.client.on_connect, self.client.on_subscribe = self._on_connect, self._on_subscribe
-        self.client.answered(lambda _mid, code: setattr(self, "published", code))
-        self.client.receive(
-            lambda topic, message: self.messages.update({topic: bytes(message.payload)})
+        events = SessionEvents(
+            accepted=self._on_accepted,
+            rejected=self._on_rejected,
+            subscribed=lambda codes: setattr(self, "subscribed", codes),
+            answered=lambda _mid, code: setattr(self, "published", code),
+            heard=lambda topic, message: self.messages.update({topic: bytes(message.payload)}),
         )
+        self.client = BrokerSession(broker, events, client_id="", base_topic=base)
 
-    def _on_connect(
-        self, _client: Any, _userdata: Any, _flags: Any, code: MqttCode, properties: Any
-    ) -> None:
-        self.greeting, self.packet_bytes_max = code, packet_bytes_max(properties)
+    def _on_accepted(self, bytes_max: int | None) -> None:
+        self.greeted, self.packet_bytes_max = True, bytes_max
 
-    def _on_subscribe(
-        self, _client: Any, _userdata: Any, _mid: int, codes: list[MqttCode], _properties: Any
-    ) -> None:
-        self.subscribed = codes
+    def _on_rejected(self, _text: str, code: MqttCode) -> None:
+        self.greeted, self.rejection = True, code
 
     @property
     def is_refused(self) -> bool:
@@ -113,7 +112,7 @@ class _Session:
             [(f"{self.base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)]
         )
         self.pump(lambda: self.subscribed)
-        return bool(self.subscribed) and not any(code.is_failure for code in self.subscribed)
+        return bool(self.subscribed) and not denial(self.subscribed)
 
     def echoes(self, size: int) -> bool:
         """Publish a message of `size` bytes to ourselves; return whether it came back."""
@@ -207,13 +206,13 @@ def _unreached(error: OSError) -> str:
 def _greet(
     session: _Session, where: str, username: str | None, tls_ca: str | None
 ) -> Finding | None:
-    open_still = session.pump(lambda: session.greeting is not None)
-    code = session.greeting
-    if code is None:
+    open_still = session.pump(lambda: session.greeted)
+    code = session.rejection
+    if not session.greeted:
         doing = "does not answer" if open_still else "hangs up"
         found = f"{where}: accepts connections but {doing}, so it is not an MQTT broker"
         return fault("broker", found, no_answer_fix(tls_ca))
-    if not code.is_failure:
+    if code is None:
         return None
     if is_not_authorised(code.value):
         whom = (

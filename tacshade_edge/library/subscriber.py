@@ -12,14 +12,22 @@ import select
 import time
 from typing import Any, Final
 
-from paho.mqtt.client import Client
+from paho.mqtt.client import MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.library.arguments import path_of, text_of, wrong
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.library.result import Result, Results
-from tacshade_edge.mqtt.client import BrokerAddress, BrokerSession, connect_now, make_client
+from tacshade_edge.mqtt.client import (
+    FRAMES_BYTES_MAX,
+    BrokerAddress,
+    BrokerSession,
+    SessionEvents,
+    broker_at,
+    denial,
+)
 from tacshade_edge.quoting import escaped, quoted, shown
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.wire.broker_address import BROKER, host_and_port
@@ -30,7 +38,6 @@ _STATES_S: Final = 1.0
 _THERE_MAX: Final = 64
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
-_BYTES_MAX: Final = 1 << 26
 _REASON_CHARS_MAX: Final = 500
 _ID_CHARS_MAX: Final = 255
 _STATE: Final = re.compile(r"tacshade/([^/\ufffd]+)/state")
@@ -78,40 +85,35 @@ def listen(
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
     if password is not None and username is None:
         raise ConfigError("password: found a password without a username, expected both")
-    address = BrokerAddress(
-        host=host,
-        port=port,
+    address = broker_at(
+        host,
+        port,
         username=None if username is None else text_of("username", username, "text"),
         password=None if password is None else text_of("password", password, "text"),
         tls_ca=None if ca_file is None else str(path_of("ca_file", ca_file)),
     )
-    ident = f"tacshade-listen-{secrets.token_hex(6)}"
-    client = make_client(address, base_topic=f"tacshade/{sensor_id}", client_id=ident)
-    return _Heard(client, host, port, sensor_id)
+    return _Heard(address, sensor_id)
 
 
 class _Heard(Results):
-    def __init__(self, client: BrokerSession, host: str, port: int, sensor_id: str) -> None:
-        self._client, self._address = client, (host, port)
-        self._where, self._base = f"{host}:{port}", f"tacshade/{sensor_id}"
+    def __init__(self, broker: BrokerAddress, sensor_id: str) -> None:
+        self._where, self._base = f"{broker['host']}:{broker['port']}", f"tacshade/{sensor_id}"
         self._failure = ""
         self._connected = False
-        self._frames = frames = FrameAssembler()
-        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        self._frames = FrameAssembler()
         self._there: set[str] = set()  # the sensors with a state, asked for after a silence
-
-        def receive(topic: str, message: Any) -> None:
-            if topic.startswith(f"{self._base}/"):
-                frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
-            elif found := _STATE.fullmatch(topic):
-                if len(self._there) < _THERE_MAX:
-                    self._there.add(found[1])
-            else:
-                raise DecodeError(
-                    f"found the topic {quoted(topic)}, expected one below {self._base}/"
-                )
-
-        client.receive(receive)
+        events = SessionEvents(
+            rejected=self._on_rejected, subscribed=self._on_subscribed, heard=self._on_message
+        )
+        self._client = BrokerSession(
+            broker,
+            events,
+            client_id=f"tacshade-listen-{secrets.token_hex(6)}",
+            base_topic=self._base,
+            incoming_bytes_max=FRAMES_BYTES_MAX,
+            keepalive_s=_KEEPALIVE_S,
+        )
+        self._client.follow({f"{self._base}/{topic}": SubscribeOptions(0) for topic in TOPICS})
         self._connect()
 
     @property
@@ -142,12 +144,7 @@ class _Heard(Results):
         self._failure = ""
         self._frames.forget()
         try:
-            connect_now(
-                self._client,
-                *self._address,
-                incoming_bytes_max=_BYTES_MAX,
-                keepalive_s=_KEEPALIVE_S,
-            )
+            self._client.open()
         except OSError as error:
             raise self._lost(f"{error.strerror or error}", ReasonCode.UNREACHABLE) from None
         end_s = time.monotonic() + _SILENT_S
@@ -203,20 +200,20 @@ class _Heard(Results):
         )
         return DeviceError(text, code=ReasonCode.NO_ANSWER)
 
-    # -- called by paho, in the caller's thread ----------------------------------------------------
+    # -- called by the session, in the caller's thread ---------------------------------------------
 
-    def _on_connect(
-        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
-    ) -> None:
-        if code.is_failure:
-            self._failure = f"rejects the connection: {code}"
-        else:
-            client.subscribe([(f"{self._base}/{topic}", 0) for topic in TOPICS])
+    def _on_rejected(self, text: str, _code: object) -> None:
+        self._failure = text
 
-    def _on_subscribe(
-        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
-    ) -> None:
-        if refused := next((code for code in codes if code.is_failure), None):
-            self._failure = f"rejects a subscription: {refused}"
+    def _on_subscribed(self, codes: list[MqttCode]) -> None:
+        self._failure = denial(codes)
+        self._connected |= not self._failure
+
+    def _on_message(self, topic: str, message: MQTTMessage) -> None:
+        if topic.startswith(f"{self._base}/"):
+            self._frames.add(topic.removeprefix(f"{self._base}/"), bytes(message.payload))
+        elif found := _STATE.fullmatch(topic):
+            if len(self._there) < _THERE_MAX:
+                self._there.add(found[1])
         else:
-            self._connected = True
+            raise DecodeError(f"found the topic {quoted(topic)}, expected one below {self._base}/")

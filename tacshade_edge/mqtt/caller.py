@@ -11,13 +11,13 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from paho.mqtt.client import Client
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.fixes import MESSAGE_SIZE_FIX
-from tacshade_edge.mqtt.client import PACKET_TOO_LARGE, BrokerAddress
+from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.mqtt.follower import Follower
+from tacshade_edge.mqtt.packets import PACKET_TOO_LARGE
 from tacshade_edge.quoting import escaped, quoted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.codec import decode_object
@@ -47,7 +47,6 @@ class MqttCaller(Follower):
         self._latest = {f"{self._base}/{topic}": b"" for topic in watched}
         self._asked = ""
         self._reply: dict[str, Any] | None = None
-        self._client.answered(self._on_answer)
         self.follow((self._results, *self._latest))
 
     def start(self) -> None:
@@ -67,7 +66,7 @@ class MqttCaller(Follower):
         """
         self._asked, self._denied, self._reply = secrets.token_hex(8), None, None
         payload = json.dumps({**body, "transaction": self._asked}).encode()
-        self._client.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
+        self._session.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
         answered = self.wait_for(
             lambda: self._reply is not None or self._denied is not None, timeout_s
         )
@@ -102,7 +101,7 @@ class MqttCaller(Follower):
                 self._changed.wait(min(left_s, 0.1))
             return condition()
 
-    # -- called by paho, in its thread -------------------------------------------------------------
+    # -- called by the session, in paho's thread ---------------------------------------------------
 
     def _report(self, reason: Reason | None, fix: str = "") -> None:
         """Keep a failure for `start` to raise, in place of logging it."""
@@ -110,15 +109,13 @@ class MqttCaller(Follower):
             self._failure = reason
             self._changed.notify_all()
 
-    def _on_subscribe(
-        self, client: Client, userdata: Any, mid: int, codes: list[MqttCode], properties: Any
-    ) -> None:
-        super()._on_subscribe(client, userdata, mid, codes, properties)
+    def _on_subscribed(self, codes: list[MqttCode]) -> None:
+        super()._on_subscribed(codes)
         with self._changed:
             self._ready = self._failure is None
             self._changed.notify_all()
 
-    def _on_answer(self, _mid: int, code: MqttCode) -> None:
+    def _on_answered(self, mid: int, code: MqttCode) -> None:
         with self._changed:
             self._denied = code if code.is_failure else None
             self._changed.notify_all()

@@ -1,4 +1,8 @@
-"""A paho client with the settings that this daemon needs; no policy about what it sends."""
+"""One session with a broker, by paho: whom it connects to and how, what it subscribes to, and
+what comes back; no policy about what it sends.
+
+The client's wheel contains this file too, so it imports only what that has.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,9 @@ import select
 import socket
 import ssl
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, TypedDict
 
@@ -16,18 +22,19 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersi
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from tacshade_edge.errors import ConfigError, DecodeError
+from ..errors import ConfigError, DecodeError
 
 _log = logging.getLogger(__name__)
 
-PACKET_TOO_LARGE: Final = 0x95
-"""Reason code of MQTT 5."""
+FRAMES_BYTES_MAX: Final = 1 << 26
+"""Bytes, more than any camera's `height` or `cloud`."""
+_REQUESTS_BYTES_MAX: Final = 65536
 _REASON_CODES: Final = 256  # of one byte
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
 _CONNECT_TIMEOUT_S: Final = 3.0
-_INCOMING_BYTES_MAX: Final = 65536
 # Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only
 # a few are allowed. We give up a peer that accepts nothing for 4 s, before TCP retries less often
 # than we reconnect.
@@ -50,52 +57,119 @@ class BrokerAddress(TypedDict):
     tls_ca: str | None
 
 
-class BrokerSession(Client):
-    """paho's client, which reconnects by itself and which no broker's message can end.
+def broker_at(
+    host: str,
+    port: int,
+    *,
+    username: str | None = None,
+    password: str | None = None,
+    tls_ca: str | None = None,
+) -> BrokerAddress:
+    """Return the address of a broker, by default without a user or TLS."""
+    return BrokerAddress(host=host, port=port, username=username, password=password, tls_ca=tls_ca)
 
-    `refused`: number of messages that `receive` dropped.
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionEvents:
+    """What a session calls, in the thread that reads: paho's after `start`, otherwise that of
+    `step`.
+
+    `before_connect`: before each attempt; OSError from it is a failed attempt. `accepted`: the
+    broker accepts us, and packets of at most so many bytes (None is any); the subscriptions are
+    sent. `subscribed`: the answer to each of a call's topics. `rejected`: a connection, as text
+    and as the broker's code. `unreachable`: an attempt failed; its error, and that as text. `lost`:
+    a connection that was accepted ended; `unanswered`: one that was not. `heard`: a message, with
+    U+FFFD in its topic for what is not UTF-8; DecodeError from it drops and counts the message.
+    `answered`: the id and reason code of a message that was sent (QoS 0) or acknowledged (QoS 1).
+    `crashed`: what ended the network thread; without it, the thread dies of it.
     """
 
-    refused = 0
+    before_connect: Callable[[], None] = _nothing
+    accepted: Callable[[int | None], None] = _nothing
+    subscribed: Callable[[list[ReasonCode]], None] = _nothing
+    rejected: Callable[[str, ReasonCode], None] = _nothing
+    unreachable: Callable[[BaseException | None, str], None] = _nothing
+    lost: Callable[[ReasonCode], None] = _nothing
+    unanswered: Callable[[ReasonCode], None] = _nothing
+    heard: Callable[[str, MQTTMessage], None] = _nothing
+    answered: Callable[[int, ReasonCode], None] = _nothing
+    crashed: Callable[[Exception], None] | None = None
 
-    def receive(self, on_message: Callable[[str, MQTTMessage], None]) -> None:
-        """Hand every message to `on_message` with its topic,
-        where U+FFFD replaces what is not UTF-8.
 
-        If that raises DecodeError, the message is dropped and counted; the first one is logged.
-        """
+class BrokerSession(Client):
+    """paho's client, which reconnects by itself every second and which no broker's message can end.
 
-        def enter(_client: Client, _userdata: Any, message: MQTTMessage) -> None:
+    It uses MQTT 5, since only a version 5 connection receives a request's response topic and
+    correlation data; subscribers of version 3.1.1 still receive what it publishes. The broker never
+    sends it a packet above `incoming_bytes_max`: requests are small, and memory is bounded.
+
+    `refused`: number of messages that `SessionEvents.heard` could not decode. Raises ConfigError (a
+    host name, topic or authority file that can never work).
+    """
+
+    # Names with two underscores, since a subclass shares its attributes with paho's.
+
+    def __init__(
+        self,
+        broker: BrokerAddress,
+        events: SessionEvents,
+        *,
+        client_id: str,
+        base_topic: str = "tacshade",
+        incoming_bytes_max: int = _REQUESTS_BYTES_MAX,
+        keepalive_s: int = _KEEPALIVE_S,
+    ) -> None:
+        # First of all: paho's `__del__` fails on what it has not initialised.
+        super().__init__(
+            CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5
+        )
+        _check(broker["host"], base_topic)
+        _accept_any_answer()
+        self.refused = 0
+        self.__broker, self.__events = broker, events
+        self.__incoming_bytes_max, self.__keepalive_s = incoming_bytes_max, keepalive_s
+        self.__lock = threading.Lock()
+        self.__topics: dict[str, SubscribeOptions] = {}
+        self.__accepted = False
+        # Equal bounds turn paho's exponential delay off.
+        self.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
+        self.connect_timeout = _CONNECT_TIMEOUT_S
+        self.on_socket_open = _on_socket_open
+        self.on_pre_connect = self.__on_pre_connect
+        self.on_connect, self.on_connect_fail = self.__on_connect, self.__on_connect_fail
+        self.on_disconnect, self.on_subscribe = self.__on_disconnect, self.__on_subscribe
+        self.on_message, self.on_publish = self.__on_message, self.__on_publish
+        if broker["username"] is not None:
+            self.username_pw_set(broker["username"], broker["password"])
+        if (tls_ca := broker["tls_ca"]) is not None:
             try:
-                on_message(topic_of(message), message)
-            except DecodeError as error:
-                if not self.refused:
-                    _log.warning(
-                        "%s: %s; dropped the message; further ones are only counted",
-                        self.host,
-                        error,
-                    )
-                self.refused += 1
+                self.tls_set(ca_certs=tls_ca)
+            except (OSError, ssl.SSLError) as error:
+                raise ConfigError(
+                    f"CA certificate file {tls_ca}: {error.strerror or error}; expected a PEM file "
+                    "with certificates"
+                ) from error
 
-        self.on_message = enter
+    def start(self) -> None:
+        """Start the network thread, which connects and reconnects until `stop`."""
+        host, port = self.__broker["host"], self.__broker["port"]
+        self.connect_async(
+            host, port, self.__keepalive_s, clean_start=True, properties=self.__limits()
+        )
+        self.loop_start()
 
-    def answered(self, on_answer: Callable[[int, ReasonCode], None]) -> None:
-        """Hand the id and reason code of every message that was sent (QoS 0) or answered
-        (QoS 1) to `on_answer`.
-        """
-
-        def enter(
-            _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any
-        ) -> None:
-            on_answer(mid, code)
-
-        self.on_publish = enter
+    def open(self) -> None:
+        """Connect without a thread: the caller reads and writes with `step`. Raises OSError."""
+        host, port = self.__broker["host"], self.__broker["port"]
+        self.connect(host, port, self.__keepalive_s, clean_start=True, properties=self.__limits())
 
     def step(self, timeout_s: float) -> bool:
-        """Send and receive once; False without a connection.
-
-        `Client.loop` would leave its socket pair open.
-        """
+        """Send and receive once; False without a connection."""
+        # Not `Client.loop`: that makes a pair of sockets, which nothing closes.
         if (sock := self.socket()) is None:
             return False
         select.select([sock], [sock] if self.want_write() else [], [], timeout_s)
@@ -106,12 +180,108 @@ class BrokerSession(Client):
 
     def stop(self) -> None:
         """Disconnect, and end the network thread."""
+        with self.__lock:
+            self.__accepted = False  # so that nobody hears of a loss
         self.disconnect()
         self.loop_stop()
 
+    def follow(self, topics: Mapping[str, SubscribeOptions]) -> None:
+        """Subscribe to these topics and no others from now on, and on each later connection;
+        callable from any thread.
+        """
+        with self.__lock:
+            new = {topic: how for topic, how in topics.items() if topic not in self.__topics}
+            old = self.__topics.keys() - topics.keys()
+            self.__topics = dict(topics)
+            if self.__accepted:  # else the next connection subscribes to all of them
+                self.__subscribe(new)
+                if old:
+                    self.unsubscribe(sorted(old))
 
-def topic_of(message: MQTTMessage) -> str:
-    """Return the topic of a message, where U+FFFD replaces what is not UTF-8."""
+    def __subscribe(self, topics: Mapping[str, SubscribeOptions]) -> None:
+        if topics:  # paho refuses an empty list
+            self.subscribe(list(topics.items()))
+
+    def __limits(self) -> Properties:
+        limits = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        limits.MaximumPacketSize = self.__incoming_bytes_max
+        return limits
+
+    def loop_forever(self, *args: Any, **options: Any) -> MQTTErrorCode:
+        """Run paho's loop, as its thread does."""
+        if (crashed := self.__events.crashed) is None:
+            return super().loop_forever(*args, **options)
+        try:
+            return super().loop_forever(*args, **options)
+        except Exception as error:  # noqa: BLE001 - whoever asked for it raises it elsewhere
+            crashed(error)
+            return MQTTErrorCode.MQTT_ERR_UNKNOWN
+
+    # -- called by paho ----------------------------------------------------------------------------
+
+    def __on_pre_connect(self, _client: Client, _userdata: Any) -> None:
+        with self.__lock:
+            self.__accepted = False  # paho may lose a connection without a word
+        self.__events.before_connect()
+
+    def __on_connect(
+        self,
+        _client: Client,
+        _userdata: Any,
+        _flags: Any,
+        code: ReasonCode,
+        properties: Properties | None,
+    ) -> None:
+        if code.is_failure:
+            self.__events.rejected(f"rejects the connection: {code}", code)
+            return
+        with self.__lock:
+            self.__accepted = True
+            self.__subscribe(self.__topics)
+        # After the subscription: who sees that we are online may send a request at once.
+        self.__events.accepted(getattr(properties, "MaximumPacketSize", None))
+
+    def __on_connect_fail(self, _client: Client, _userdata: Any) -> None:
+        # paho calls this while it handles the error, and does not pass it on.
+        error = sys.exception()
+        text = str(getattr(error, "strerror", None) or error or "no connection")
+        self.__events.unreachable(error, text)
+
+    def __on_disconnect(
+        self, _client: Client, _userdata: Any, _flags: Any, code: ReasonCode, _properties: Any
+    ) -> None:
+        with self.__lock:
+            was, self.__accepted = self.__accepted, False
+        (self.__events.lost if was else self.__events.unanswered)(code)
+
+    def __on_subscribe(
+        self, _client: Client, _userdata: Any, _mid: int, codes: list[ReasonCode], _p: Any
+    ) -> None:
+        self.__events.subscribed(codes)
+
+    def __on_publish(
+        self, _client: Client, _userdata: Any, mid: int, code: ReasonCode, _properties: Any
+    ) -> None:
+        self.__events.answered(mid, code)
+
+    def __on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
+        try:
+            self.__events.heard(_topic_of(message), message)
+        except DecodeError as error:
+            if not self.refused:
+                _log.warning(
+                    "%s: %s; dropped the message; further ones are only counted", self.host, error
+                )
+            self.refused += 1
+
+
+def denial(codes: list[ReasonCode]) -> str:
+    """Return what the answer to a subscription denies, for a person; empty if nothing."""
+    denied = next((code for code in codes if code.is_failure), None)
+    return "" if denied is None else f"rejects a subscription: {denied}"
+
+
+def _topic_of(message: MQTTMessage) -> str:
     try:
         return message.topic
     except UnicodeDecodeError as error:  # the only public way to the bytes
@@ -133,129 +303,6 @@ def _accept_any_answer() -> None:
     ReasonCode.names = MappingProxyType(names)
 
 
-def connect_failure() -> tuple[BaseException | None, str]:
-    """Return the error of a failed connection and its text, in `on_connect_fail`:
-    paho does not pass it on.
-    """
-    error = sys.exception()
-    return error, str(getattr(error, "strerror", None) or error or "no connection")
-
-
-def make_client(broker: BrokerAddress, *, base_topic: str, client_id: str) -> BrokerSession:
-    """Return a client that retries every second once its loop runs.
-
-    It uses MQTT 5, since only a version 5 connection receives a request's response topic and
-    correlation data; subscribers of version 3.1.1 still receive what it publishes.
-
-    Raises ConfigError (a host name, topic or authority file that can never work).
-    """
-    tls_ca = broker["tls_ca"]
-    _check(broker["host"], base_topic)
-    _accept_any_answer()
-    client = BrokerSession(
-        CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5
-    )
-    client.reconnect_delay_set(_RECONNECT_DELAY_S, _RECONNECT_DELAY_S)
-    client.connect_timeout = _CONNECT_TIMEOUT_S
-    client.on_socket_open = _on_socket_open
-    if broker["username"] is not None:
-        client.username_pw_set(broker["username"], broker["password"])
-    if tls_ca is not None:
-        try:
-            client.tls_set(ca_certs=tls_ca)
-        except (OSError, ssl.SSLError) as error:
-            raise ConfigError(
-                f"CA certificate file {tls_ca}: {error.strerror or error}; expected a PEM file "
-                "with certificates"
-            ) from error
-    return client
-
-
-def connect(
-    client: Client, host: str, port: int, *, incoming_bytes_max: int = _INCOMING_BYTES_MAX
-) -> None:
-    """Start the client's network thread, which connects and reconnects by itself.
-
-    The broker never sends us a packet above `incoming_bytes_max`:
-    requests are small, and memory is bounded.
-    """
-    client.connect_async(
-        host, port, _KEEPALIVE_S, clean_start=True, properties=_limits(incoming_bytes_max)
-    )
-    client.loop_start()
-
-
-def connect_now(
-    client: Client,
-    host: str,
-    port: int,
-    *,
-    incoming_bytes_max: int = _INCOMING_BYTES_MAX,
-    keepalive_s: int = _KEEPALIVE_S,
-) -> None:
-    """Connect without a thread: the caller makes the client read and write. Raises OSError."""
-    client.connect(
-        host, port, keepalive_s, clean_start=True, properties=_limits(incoming_bytes_max)
-    )
-
-
-def publish_properties(
-    content_type: str,
-    *,
-    expiry_s: int | None = None,
-    correlation: bytes | None = None,
-    of_will: bool = False,
-) -> Properties:
-    """Return the MQTT 5 properties of a message or a last will;
-    subscribers of version 3.1.1 do not see them.
-    """
-    properties = _properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)
-    properties.ContentType = content_type
-    if expiry_s is not None:
-        properties.MessageExpiryInterval = expiry_s
-    if correlation is not None:
-        properties.CorrelationData = correlation
-    return _Packed(properties)
-
-
-class _Packed(Properties):
-    """Properties packed once: paho packs them again for every message,
-    a third of its work per message.
-    """
-
-    def __init__(self, made: Properties) -> None:
-        self.__dict__.update(made.__dict__, _packed=made.pack())  # type: ignore[no-untyped-call]
-
-    def pack(self) -> bytes:
-        """Return the same bytes as paho would."""
-        packed: bytes = self.__dict__["_packed"]
-        return packed
-
-
-def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
-    """Return an upper bound of a message's size on the wire in bytes (MQTT 5, section 3.3)."""
-    header, packet_id, length = 5, 2, 2
-    packed: bytes = properties.pack()  # type: ignore[no-untyped-call]
-    return header + length + len(topic.encode()) + packet_id + len(packed) + len(payload)
-
-
-def packet_bytes_max(connack: Properties | None) -> int | None:
-    """Return the largest packet in bytes that the broker accepts, from its CONNACK;
-    None if it sets no bound.
-    """
-    return getattr(connack, "MaximumPacketSize", None)
-
-
-def _limits(incoming_bytes_max: int) -> Properties:
-    limits = _properties(PacketTypes.CONNECT)
-    limits.MaximumPacketSize = incoming_bytes_max
-    return limits
-
-
-def _properties(packet_type: int) -> Properties:
-    return Properties(packet_type)  # type: ignore[no-untyped-call]
-
-
 def _on_socket_open(_client: Client, _userdata: Any, sock: Any) -> None:
     for name, value in _SOCKET_OPTIONS:
         if hasattr(socket, name):
@@ -263,6 +310,7 @@ def _on_socket_open(_client: Client, _userdata: Any, sock: Any) -> None:
 
 
 def _check(host: str, base_topic: str) -> None:
+    # `getaddrinfo` raises UnicodeError for such a name, and paho's thread would die of it.
     try:
         sound = bool(host) and bool(host.encode("idna"))
     except UnicodeError:

@@ -16,11 +16,12 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.reasoncodes import ReasonCode as MqttCode
+from paho.mqtt.client import MQTTMessage
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.mqtt.client import BrokerSession, connect_now, publish_properties
+from tacshade_edge.mqtt.client import BrokerAddress, BrokerSession, SessionEvents
+from tacshade_edge.mqtt.packets import publish_properties
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.codec import decode_object
@@ -46,24 +47,26 @@ def new_instance() -> dict[str, str | int]:
 class ClientIdGuard:
     """A watch on a name over a connection with another one; only the link's paho thread uses it.
 
-    `client`: without a client ID, not connected. `instance`: this daemon's `new_instance`.
+    `instance`: this daemon's `new_instance`. Raises ConfigError, as a session does.
     """
 
     def __init__(
-        self,
-        client: BrokerSession,
-        host: str,
-        port: int,
-        base_topic: str,
-        instance: dict[str, str | int],
+        self, broker: BrokerAddress, base_topic: str, instance: dict[str, str | int]
     ) -> None:
-        self._client, self._host, self._port, self._base = client, host, port, base_topic
+        self._where, self._base = f"{broker['host']}:{broker['port']}", base_topic
         self._instance = instance
         self._rival = f"{base_topic}/status/rival"
         self._waited = False
         self._forget()
-        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
-        client.receive(self._on_message)
+        events = SessionEvents(subscribed=self._on_subscribed, heard=self._on_message)
+        # Without a client id the broker invents one, and nobody loses theirs.
+        self._session = BrokerSession(broker, events, client_id="", base_topic=base_topic)
+        self._session.follow(
+            {
+                f"{base_topic}/{name}": SubscribeOptions(1)
+                for name in ("state", "instance", "health")
+            }
+        )
 
     def _forget(self) -> None:
         self._asked: bool = False  # whether the broker accepted the query
@@ -84,32 +87,32 @@ class ClientIdGuard:
         connection, or it was lost; call again).
         """
         self._forget()
-        self._client.will_set(self._rival, b"", qos=1, retain=True)
+        self._session.will_set(self._rival, b"", qos=1, retain=True)
         try:
-            connect_now(self._client, self._host, self._port)
+            self._session.open()
             end_s = time.monotonic() + _ANSWER_S
             while (
                 not self._asked
                 and not stopped()
                 and time.monotonic() < end_s
-                and self._client.step(_POLL_S)
+                and self._session.step(_POLL_S)
             ):
                 pass
             if not self._asked:
                 return
             self._seen_s = time.monotonic()
             while not stopped() and not self._is_free(report):
-                if not self._client.step(_POLL_S):
+                if not self._session.step(_POLL_S):
                     raise ConnectionResetError("connection lost")
             self._waited &= stopped()
         finally:
             if self._reported:
-                self._client.publish(self._rival, b"", 0, True)
-            self._client.disconnect()
-            if (sock := self._client.socket()) is not None:
+                self._session.publish(self._rival, b"", retain=True)
+            self._session.disconnect()
+            if (sock := self._session.socket()) is not None:
                 with contextlib.suppress(OSError):
                     sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
-            while self._client.step(_POLL_S):  # reads to the end of the stream, and closes
+            while self._session.step(_POLL_S):  # reads to the end of the stream, and closes
                 pass
 
     def _is_free(self, report: Callable[[Reason], None]) -> bool:
@@ -125,24 +128,19 @@ class ClientIdGuard:
             return quiet_s >= _LIFE_S
         self._waited = True
         found = f"another daemon, {place_of(self._holder)}, is using {self._base}"
-        report(reason := Reason(ReasonCode.IN_USE, f"{self._host}:{self._port}: {found}"))
+        report(reason := Reason(ReasonCode.IN_USE, f"{self._where}: {found}"))
         if not self._reported:
             self._reported = True
             status = encode_status("waiting", reason, self._instance)
-            self._client.publish(
-                self._rival, status, 0, True, publish_properties("application/json")
+            self._session.publish(
+                self._rival,
+                status,
+                retain=True,
+                properties=publish_properties("application/json"),
             )
         return False
 
-    def _on_connect(
-        self, client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
-    ) -> None:
-        if not code.is_failure:
-            client.subscribe(
-                [(f"{self._base}/{name}", 1) for name in ("state", "instance", "health")]
-            )
-
-    def _on_subscribe(self, *_: Any) -> None:
+    def _on_subscribed(self, _codes: object) -> None:
         self._asked = True
 
     def _on_message(self, topic: str, message: MQTTMessage) -> None:

@@ -1,5 +1,6 @@
-"""The connection to the MQTT broker, which reconnects by itself;
-`Outgoing` handles what it sends.
+"""The daemon's connection to the MQTT broker: its requests, its will, why it is not connected.
+
+What it sends is `Outgoing`'s, the connection itself `BrokerSession`'s.
 """
 
 from __future__ import annotations
@@ -12,10 +13,9 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.properties import Properties
+from paho.mqtt.client import MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
@@ -28,17 +28,10 @@ from tacshade_edge.fixes import (
     refusal_fix,
     with_fix,
 )
-from tacshade_edge.mqtt.client import (
-    PACKET_TOO_LARGE,
-    BrokerAddress,
-    connect,
-    connect_failure,
-    make_client,
-    packet_bytes_max,
-    publish_properties,
-)
+from tacshade_edge.mqtt.client import BrokerAddress, BrokerSession, SessionEvents
 from tacshade_edge.mqtt.client_id_guard import ClientIdGuard, new_instance
 from tacshade_edge.mqtt.outgoing import CONTENT_TYPES, Outgoing, PayloadOutcome
+from tacshade_edge.mqtt.packets import PACKET_TOO_LARGE, publish_properties
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.requests import Request, encode_error, parse_request, parse_transaction
 
@@ -86,59 +79,76 @@ def _may_name_a_topic(text: str) -> bool:
 _log = logging.getLogger(__name__)
 
 
-class MqttLink(Outgoing):
+class MqttLink:
     """A connection that publishes streams, retained values and replies, and receives requests.
 
     `base_topic`: ``tacshade/<sensor-id>``, without a slash at either end. `client_id`: fixed per
     sensor: a new connection must take over from a dead one, including its will. It does not take
-    over from a live one: while another daemon uses the sensor's name, this one waits. `tls_ca`: PEM
-    file of the authority that signed the broker's certificate; None disables TLS. `on_request` is
-    called from paho's network thread, `on_outcome` also from the callers' threads; they must only
-    count or enqueue. Raises ConfigError (a host name, topic or authority file that can never work).
+    over from a live one: while another daemon uses the sensor's name, this one waits. `on_request`
+    is called from paho's network thread, `on_outcome` also from the callers' threads; they must
+    only count or enqueue. Raises ConfigError (a host name, topic or authority file that can never
+    work).
     """
 
     def __init__(
         self,
+        broker: BrokerAddress,
         *,
-        host: str,
-        port: int,
         base_topic: str,
         client_id: str,
-        username: str | None = None,
-        password: str | None = None,
-        tls_ca: str | None = None,
         on_request: Callable[[Request], None],
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
-        instance = new_instance()
-        self._broker = BrokerAddress(
-            host=host, port=port, username=username, password=password, tls_ca=tls_ca
+        self._broker, self._where = broker, f"{broker['host']}:{broker['port']}"
+        self._base, self._on_request = base_topic, on_request
+        events = SessionEvents(
+            before_connect=self._before_connect,
+            accepted=self._on_accepted,
+            subscribed=lambda codes: self._outgoing.post(lambda: self._subscribed(codes)),
+            rejected=self._on_rejected,
+            unreachable=self._on_unreachable,
+            lost=self._on_ended,
+            unanswered=self._on_ended,
+            heard=self._on_message,
+            answered=lambda mid, code: self._outgoing.post(
+                lambda: self._outgoing.answered(mid, code)
+            ),
         )
-        client, asking = (
-            make_client(self._broker, base_topic=base_topic, client_id=name)
-            for name in (client_id, "")
+        self._session = BrokerSession(broker, events, client_id=client_id, base_topic=base_topic)
+        will = publish_properties(CONTENT_TYPES["state"], of_will=True)
+        self._session.will_set(
+            f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will
         )
-        super().__init__(client, f"{host}:{port}", base_topic, on_outcome)
-        self._on_request = on_request
+        self._outgoing = Outgoing(self._session, self._where, base_topic, on_outcome)
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._watched: dict[str, Callable[[bytes], None]] = {}
         self._thread: threading.Thread | None = None
-        self._guard = ClientIdGuard(asking, host, port, base_topic, instance)
-        will = publish_properties(CONTENT_TYPES["state"], of_will=True)
-        client.will_set(f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will)
-        client.on_pre_connect = self._on_pre_connect
-        client.on_connect = self._on_connect
-        client.on_connect_fail = self._on_connect_fail
-        client.on_disconnect = self._on_disconnect
-        client.on_subscribe = self._on_subscribe
-        client.receive(self._on_message)
+        instance = new_instance()
+        self._guard = ClientIdGuard(broker, base_topic, instance)
         self.set_retained("state", b"online")
         self.set_retained("instance", json.dumps(instance).encode())
+
+    @property
+    def connected(self) -> bool:
+        """Whether the broker has accepted us."""
+        return self._outgoing.connected
 
     @property
     def reason(self) -> Reason | None:
         """The reason why the link is not connected; None when it is."""
         return self._reason
+
+    @property
+    def limited(self) -> Reason | None:
+        """Why the broker gets no large messages; None while no message
+        of this connection has exceeded its limit.
+        """
+        return self._outgoing.limited
+
+    def counters(self) -> dict[str, int]:
+        """Return the counts since the start, always of all names: `Outgoing.counters`."""
+        counts = self._outgoing.counters()
+        return {**counts, "bad_requests": counts["bad_requests"] + self._session.refused}
 
     def start(self) -> None:
         """Start connecting, and keep trying until `stop`; an absent broker is no error.
@@ -146,7 +156,12 @@ class MqttLink(Outgoing):
         Call once.
         """
         self._set_reason(self._with_address(ReasonCode.STARTING, "connecting"))
-        connect(self._client, self._broker["host"], self._broker["port"])
+        # A retained request is an old one, which must not be executed again on each connection.
+        topics = {f"{self._base}/req/+": SubscribeOptions(1, noLocal=True, retainHandling=2)}
+        for topic in self._watched:
+            topics[f"{self._base}/{topic}"] = SubscribeOptions(1, noLocal=True)
+        self._session.follow(topics)
+        self._session.start()
 
     def stop(self, timeout_s: float) -> None:
         """Publish what waits and ``state`` = ``stopped``, and disconnect;
@@ -160,19 +175,41 @@ class MqttLink(Outgoing):
         def left_s(part: float) -> float:
             return max(0.0, began_s + part * timeout_s - time.monotonic())
 
-        self._state_sent.clear()
-        self._post(self._pump_last)
-        self.set_retained("state", b"stopped")
-        if self.connected:
-            self._state_sent.wait(left_s(0.6))
-        self._stopping = True
-        self._client.disconnect()
-        self._away.wait(left_s(0.8))
+        self._outgoing.finish(b"stopped", left_s(0.6))
+        self._session.disconnect()
+        self._outgoing.wait_until_away(left_s(0.8))
         self._end_thread(left_s(1.0))
         done = threading.Event()
-        self._post(self._give_up)
-        self._post(done.set)
+        self._outgoing.post(self._give_up)
+        self._outgoing.post(done.set)
         done.wait(left_s(1.0))
+
+    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
+        """Publish a retained value now and on every connection: `Outgoing.set_retained`."""
+        self._outgoing.set_retained(topic, payload, qos=qos)
+
+    def has_listener(self, stream: str) -> bool:
+        """Whether a stream may have a subscriber: `Outgoing.has_listener`."""
+        return self._outgoing.has_listener(stream)
+
+    def offer(self, stream: str, payload: bytes, seq: int) -> None:
+        """Send a payload of a stream unless a newer one comes first: `Outgoing.offer`."""
+        self._outgoing.offer(stream, payload, seq)
+
+    def reply(self, request: Request, payload: bytes) -> None:
+        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic.
+
+        Lost with the connection.
+        """
+        topic = request.response_topic or f"res/{request.verb}"
+        self._outgoing.send_once("replies", topic, payload, request.correlation)
+
+    def publish_event(self, topic: str, payload: bytes) -> None:
+        """Publish an event once, under the base topic (QoS 1, not retained).
+
+        Lost with the connection, and counted.
+        """
+        self._outgoing.send_once("events", topic, payload, None)
 
     def watch(self, topic: str, on_payload: Callable[[bytes], None]) -> None:
         """Subscribe to a topic below the base on every connection, retained value included;
@@ -185,24 +222,13 @@ class MqttLink(Outgoing):
 
     # -- executed in turn --------------------------------------------------------------------------
 
-    def _pump_last(self) -> None:
-        """Send the last payload of each stream, however many paho holds."""
-        for slot in self._slots.values():
-            if not slot.retain:
-                slot.most += 1
-                self._pump(slot)
-
     def _give_up(self) -> None:
-        self._lost()
-        for slot in self._slots.values():
-            if not slot.retain and slot.waiting is not None:
-                self._settle("failed", slot, slot.waiting)
-                slot.waiting = None
+        self._outgoing.give_up()
         self._set_reason(self._with_address(ReasonCode.STOPPED, "stopped"))
 
     def _disconnected(self, code: MqttCode | None) -> None:
         """Record that a connection ended; paho may lose one without a code."""
-        if self.connected and not self._stopping:
+        if self.connected and not self._outgoing.stopping:
             why = "connection lost" if code is None else f"connection lost ({code})"
             fix = (
                 MESSAGE_SIZE_FIX
@@ -212,7 +238,7 @@ class MqttLink(Outgoing):
             self._set_reason(self._with_address(ReasonCode.LOST, why), fix)
         elif (
             code is not None
-            and not self._stopping
+            and not self._outgoing.stopping
             and not (self._reason and self._reason.code is ReasonCode.REFUSED)
         ):
             text = f"accepts connections but does not answer as an MQTT 5 broker ({code})"
@@ -220,11 +246,11 @@ class MqttLink(Outgoing):
                 self._with_address(ReasonCode.NO_ANSWER, text),
                 no_answer_fix(self._broker["tls_ca"]),
             )
-        self._lost()
+        self._outgoing.lost()
 
     def _subscribed(self, codes: list[MqttCode]) -> None:
         for topic, code in zip(("req/+", *self._watched), codes, strict=False):
-            self._note(topic, 0, code)
+            self._outgoing.note(topic, 0, code)
 
     # ----------------------------------------------------------------------------------------------
 
@@ -248,68 +274,46 @@ class MqttLink(Outgoing):
         """Wait for paho's thread; leave one that hangs in a connection attempt,
         since it is a daemon thread.
         """
-        sock = self._client.socket()
+        sock = self._session.socket()
         if sock is not None:
             with contextlib.suppress(OSError):  # it was already closed
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
         if self._thread is not None:
             self._thread.join(timeout_s)
 
-    # -- called by paho, in its thread -------------------------------------------------------------
+    # -- called by the session, in paho's thread ---------------------------------------------------
 
-    def _on_pre_connect(self, _client: Client, _userdata: Any) -> None:
+    def _before_connect(self) -> None:
         self._thread = threading.current_thread()
-        self._post(lambda: self._disconnected(None))
-        self._guard.wait_until_gone(self._report_holder, lambda: self._stopping)
-        if self._stopping:
+        self._outgoing.post(lambda: self._disconnected(None))
+        self._guard.wait_until_gone(self._report_holder, lambda: self._outgoing.stopping)
+        if self._outgoing.stopping:
             raise ConnectionAbortedError("stopped")
 
     def _report_holder(self, reason: Reason) -> None:
         self._set_reason(reason, "stop the other daemon, or wait until it ends")
 
-    def _on_connect(
-        self,
-        client: Client,
-        _userdata: Any,
-        _flags: Any,
-        code: MqttCode,
-        properties: Properties | None,
-    ) -> None:
-        if code.is_failure:
-            fix = refusal_fix(code.value, self._broker["username"])
-            self._set_reason(
-                self._with_address(ReasonCode.REFUSED, f"rejects the connection: {code}"), fix
-            )
+    def _on_accepted(self, bytes_max: int | None) -> None:
+        if self._outgoing.stopping:
+            self._session.disconnect()
             return
-        if self._stopping:
-            client.disconnect()
-            return
-        client.drop_out_messages()  # or paho would send old retained values after the new ones
-        wanted = {
-            f"{self._base}/{topic}": SubscribeOptions(1, noLocal=True) for topic in self._watched
-        }
-        wanted[f"{self._base}/req/+"] = SubscribeOptions(1, noLocal=True, retainHandling=2)
-        client.subscribe(list(wanted.items()))
-        self._post(lambda: self._set_reason(None))
-        self._post(lambda: self._accepted(packet_bytes_max(properties)))
+        # Or paho would send old retained values after the new ones.
+        self._session.drop_out_messages()
+        self._outgoing.post(lambda: self._set_reason(None))
+        self._outgoing.post(lambda: self._outgoing.accepted(bytes_max))
 
-    def _on_connect_fail(self, _client: Client, _userdata: Any) -> None:
-        error, text = connect_failure()
-        if not self._stopping:
-            fix = connect_fix(
-                error, self._broker["host"], self._broker["port"], self._broker["tls_ca"]
-            )
-            self._set_reason(self._with_address(ReasonCode.UNREACHABLE, text), fix)
+    def _on_rejected(self, text: str, code: MqttCode) -> None:
+        fix = refusal_fix(code.value, self._broker["username"])
+        self._set_reason(self._with_address(ReasonCode.REFUSED, text), fix)
 
-    def _on_disconnect(
-        self, _client: Client, _userdata: Any, _flags: Any, code: MqttCode, _properties: Any
-    ) -> None:
-        self._post(lambda: self._disconnected(code))
+    def _on_unreachable(self, error: BaseException | None, text: str) -> None:
+        if not self._outgoing.stopping:
+            host, port, tls_ca = self._broker["host"], self._broker["port"], self._broker["tls_ca"]
+            reason = self._with_address(ReasonCode.UNREACHABLE, text)
+            self._set_reason(reason, connect_fix(error, host, port, tls_ca))
 
-    def _on_subscribe(
-        self, _client: Client, _userdata: Any, _mid: int, codes: list[MqttCode], _p: Any
-    ) -> None:
-        self._post(lambda: self._subscribed(codes))
+    def _on_ended(self, code: MqttCode) -> None:
+        self._outgoing.post(lambda: self._disconnected(code))
 
     def _on_message(self, topic: str, message: MQTTMessage) -> None:
         if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:
@@ -317,8 +321,8 @@ class MqttLink(Outgoing):
             return
         request = read_request(self._base, topic, message)
         kind = "bad_requests" if isinstance(request, BadRequest) else "requests"
-        self._post(lambda: self._counters.update((kind,)))
+        self._outgoing.post(lambda: self._outgoing.count(kind))
         if isinstance(request, Request):
             self._on_request(request)
         elif request.topic is not None:
-            self._send_once("replies", request.topic, request.answer, request.correlation)
+            self._outgoing.send_once("replies", request.topic, request.answer, request.correlation)

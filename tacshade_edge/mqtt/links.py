@@ -73,7 +73,7 @@ def make_link(
         document, topic, client = of, of.settings.sensor_id, of.settings.sensor_id
     try:
         return MqttLink(
-            **broker_address(document),
+            broker_address(document),
             base_topic=f"tacshade/{topic}",
             client_id=f"tacshade-{client}",
             on_request=on_request,

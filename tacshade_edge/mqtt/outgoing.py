@@ -16,33 +16,22 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
+from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
-from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.fixes import MESSAGE_SIZE_FIX, with_fix
-from tacshade_edge.mqtt.client import (
-    PACKET_TOO_LARGE,
-    BrokerSession,
-    packet_bytes,
-    publish_properties,
-)
+from tacshade_edge.mqtt.packets import PACKET_TOO_LARGE, packet_bytes, publish_properties
+from tacshade_edge.mqtt.slots import Item, Slot
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.wire.requests import Request
 from tacshade_edge.wire.topics import OF_SENSORS
 
 _log = logging.getLogger(__name__)
 
 PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
 
-PROBE_PERIOD_NS: Final = 1_000_000_000
-"""Period in ns at which a message of a stream probes for subscribers, so a new one is noticed
-within it. Whole periods of the clock, so that the streams of a frame probe together: a frame that
-only probes is reconstructed for nobody.
-"""
 _UNSENT_PER_STREAM: Final = 2
 _ANSWERS_OPEN_MAX: Final = 16
 _STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
@@ -65,63 +54,11 @@ _COUNTERS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Item:
-    payload: bytes
-    seq: int
-
-
-@dataclass(slots=True, eq=False)
-class _Slot:
-    """The payloads of one topic that wait or that paho holds: the latest wins."""
-
-    topic: str
-    qos: int
-    retain: bool  # the newest value is sent again on every connection, and has no outcome
-    most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
-    properties: Properties
-    waiting: _Item | None = None
-    handed: list[_Item] = field(default_factory=list)
-    newest: _Item | None = None
-    # Answers of this connection's broker:
-    probed_ns: int | None = None
-    no_listener: bool = False
-    refused: bool | None = None
-
-    def probe_due(self, now_ns: int) -> bool:
-        return (
-            self.probed_ns is None or now_ns // PROBE_PERIOD_NS != self.probed_ns // PROBE_PERIOD_NS
-        )
-
-    def next_qos(self, now_ns: int) -> int:
-        """Return the QoS of the message being sent: 1 for a probe.
-
-        Until its answer comes, the previous one holds.
-        """
-        if self.retain or not self.probe_due(now_ns):
-            return self.qos
-        self.probed_ns = now_ns
-        return 1
-
-    def disconnected(self) -> list[_Item]:
-        """Take back what paho held: the newest waits again unless a newer one does;
-        return the others, which failed.
-        """
-        lost, self.handed = self.handed, []
-        self.probed_ns, self.no_listener, self.refused = None, False, None
-        if self.retain:
-            self.waiting = self.newest
-            return []
-        if self.waiting is None and lost:
-            self.waiting = lost.pop()
-        return lost
-
-
 class _Sent(NamedTuple):
     """A message that paho holds: its slot and item, or None for a reply or an event."""
 
-    slot: _Slot | None
-    item: _Item | None
+    slot: Slot | None
+    item: Item | None
     qos: int
     size: int
 
@@ -135,24 +72,20 @@ class Outgoing:
 
     def __init__(
         self,
-        client: BrokerSession,
+        client: Client,
         where: str,
         base_topic: str,
         on_outcome: Callable[[str, int, PayloadOutcome], None],
     ) -> None:
-        self._client, self._where, self._base, self._on_outcome = (
-            client,
-            where,
-            base_topic,
-            on_outcome,
-        )
+        self._client, self._where, self._base = client, where, base_topic
+        self._on_outcome = on_outcome
         self._calls: deque[Callable[[], None]] = deque()
         self._turn = threading.Lock()
         self._away = threading.Event()
         self._away.set()
         self._state_sent = threading.Event()  # the newest one, or the connection was lost
         self._stopping = False
-        self._slots: dict[str, _Slot] = {}
+        self._slots: dict[str, Slot] = {}
         self._by_mid: dict[int, _Sent] = {}
         self._denied: set[str] = set()
         # The largest packet that the broker accepts and how that showed,
@@ -162,7 +95,6 @@ class Outgoing:
         self._bytes_proven = 0
         self._too_large: Reason | None = None
         self._counters = Counter(dict.fromkeys(_COUNTERS, 0))
-        client.answered(lambda mid, code: self._post(lambda: self._answered(mid, code)))
 
     @property
     def connected(self) -> bool:
@@ -176,15 +108,17 @@ class Outgoing:
         """
         return self._too_large
 
+    @property
+    def stopping(self) -> bool:
+        """Whether `finish` was called: nothing is sent any more."""
+        return self._stopping
+
     def counters(self) -> dict[str, int]:
         """Return the counts since the start, always of all names.
 
         `refused`: the broker denied it or its size.
         """
-        return {
-            **self._counters,
-            "bad_requests": self._counters["bad_requests"] + self._client.refused,
-        }
+        return dict(self._counters)
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value, now and again on every connection; the newest wins.
@@ -194,11 +128,11 @@ class Outgoing:
         """
 
         def put() -> None:
-            slot = self._slot(topic, qos, True)
-            slot.waiting = slot.newest = _Item(payload, 0)
+            slot = self._slot(topic, qos, retain=True)
+            slot.waiting = slot.newest = Item(payload, 0)
             self._pump(slot)
 
-        self._post(put)
+        self.post(put)
 
     def has_listener(self, stream: str) -> bool:
         """Whether a stream may have a subscriber: False
@@ -225,7 +159,7 @@ class Outgoing:
         """
 
         def put() -> None:
-            slot, item = self._slot(stream, 0, False), _Item(payload, seq)
+            slot, item = self._slot(stream, 0, retain=False), Item(payload, seq)
             displaced, slot.waiting = (item, None) if self._stopping else (slot.waiting, item)
             if displaced is not None:
                 self._settle(
@@ -235,25 +169,31 @@ class Outgoing:
                 )
             self._pump(slot)
 
-        self._post(put)
+        self.post(put)
 
-    def reply(self, request: Request, payload: bytes) -> None:
-        """Answer a request on ``res/<verb>`` or on its MQTT 5 response topic.
+    def send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
+        """Publish a reply or an event (QoS 1).
 
-        Lost with the connection.
+        It is dropped if not connected, if too large, or if 16 are still unacknowledged.
         """
-        self._send_once(
-            "replies", request.response_topic or f"res/{request.verb}", payload, request.correlation
-        )
+        properties = publish_properties(_JSON, correlation=correlation)
+        size = packet_bytes(self._path(topic), payload, properties)
 
-    def publish_event(self, topic: str, payload: bytes) -> None:
-        """Publish an event once, under the base topic (QoS 1, not retained).
+        def send() -> None:
+            too_large = self._exceeds(topic, size)
+            open_now = sum(sent.slot is None for sent in self._by_mid.values())
+            if too_large or not self.connected or open_now >= _ANSWERS_OPEN_MAX:
+                self._counters[f"{kind}_dropped"] += 1
+                self._counters["refused"] += too_large
+                return
+            self._counters[kind] += 1
+            info = self._client.publish(self._path(topic), payload, 1, properties=properties)
+            if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
+                self._by_mid[info.mid] = _Sent(None, None, 1, size)
 
-        Lost with the connection, and counted.
-        """
-        self._send_once("events", topic, payload, None)
+        self.post(send)
 
-    def _post(self, call: Callable[[], None]) -> None:
+    def post(self, call: Callable[[], None]) -> None:
         """Execute a call after those already posted;
         at once, unless another thread is executing them.
         """
@@ -265,23 +205,39 @@ class Outgoing:
             finally:
                 self._turn.release()
 
+    def finish(self, state: bytes, timeout_s: float) -> None:
+        """Send what waits and this last ``state``; wait for its answer, but only so long.
+
+        From then on nothing is sent, and every payload offered fails.
+        """
+        self._state_sent.clear()
+        self.post(self._pump_last)
+        self.set_retained("state", state)
+        if self.connected:
+            self._state_sent.wait(timeout_s)
+        self._stopping = True
+
+    def wait_until_away(self, timeout_s: float) -> None:
+        """Wait until the connection is lost, but only so long."""
+        self._away.wait(timeout_s)
+
     # -- executed in turn --------------------------------------------------------------------------
 
     def _path(self, topic: str) -> str:
         return topic[1:] if topic.startswith("/") else f"{self._base}/{topic}"
 
-    def _slot(self, topic: str, qos: int, retain: bool) -> _Slot:
+    def _slot(self, topic: str, qos: int, *, retain: bool) -> Slot:
         if topic not in self._slots:
             content_type = CONTENT_TYPES.get(topic, _JSON)
             properties = publish_properties(
                 content_type, expiry_s=None if retain else _STREAM_EXPIRY_S
             )
-            self._slots[topic] = _Slot(
+            self._slots[topic] = Slot(
                 topic, qos, retain, 1 if retain else _UNSENT_PER_STREAM, properties
             )
         return self._slots[topic]
 
-    def _pump(self, slot: _Slot) -> None:
+    def _pump(self, slot: Slot) -> None:
         """Hand paho the items of a slot that it may send.
 
         The state goes first, and the rest once the broker has answered it: otherwise frames that
@@ -302,7 +258,11 @@ class Outgoing:
                 continue
             qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
             info = self._client.publish(
-                self._path(slot.topic), item.payload, qos, slot.retain, slot.properties
+                self._path(slot.topic),
+                item.payload,
+                qos,
+                retain=slot.retain,
+                properties=slot.properties,
             )
             if (
                 info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS
@@ -312,41 +272,19 @@ class Outgoing:
             slot.handed.append(item)
             self._by_mid[info.mid] = _Sent(slot, item, qos, size)
 
-    def _send_once(self, kind: str, topic: str, payload: bytes, correlation: bytes | None) -> None:
-        """Publish a reply or an event (QoS 1).
-
-        It is dropped if not connected, if too large, or if 16 are still unacknowledged.
-        """
-        properties = publish_properties(_JSON, correlation=correlation)
-        size = packet_bytes(self._path(topic), payload, properties)
-
-        def send() -> None:
-            too_large = self._exceeds(topic, size)
-            open_now = sum(sent.slot is None for sent in self._by_mid.values())
-            if too_large or not self.connected or open_now >= _ANSWERS_OPEN_MAX:
-                self._counters[f"{kind}_dropped"] += 1
-                self._counters["refused"] += too_large
-                return
-            self._counters[kind] += 1
-            info = self._client.publish(self._path(topic), payload, 1, False, properties)
-            if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
-                self._by_mid[info.mid] = _Sent(None, None, 1, size)
-
-        self._post(send)
-
-    def _answered(self, mid: int, code: MqttCode) -> None:
+    def answered(self, mid: int, code: MqttCode) -> None:
         """Record that paho sent a message (QoS 0) or the broker answered it (QoS 1)."""
         if mid not in self._by_mid:
             return  # of an earlier connection
         slot, item, qos, size = self._by_mid.pop(mid)
         if slot is None or item is None:
-            self._note("res or event", size, code)
+            self.note("res or event", size, code)
             self._counters["refused"] += code.is_failure
             return
         slot.handed.remove(item)
         too_large = code.value == PACKET_TOO_LARGE
         if qos == 1:
-            self._note(slot.topic, size, code)
+            self.note(slot.topic, size, code)
             if too_large:  # which says nothing about the topic
                 slot.refused = bool(slot.refused)
             else:
@@ -369,7 +307,7 @@ class Outgoing:
         if not state.handed:
             self._state_sent.set()
 
-    def _note(self, topic: str, size: int, code: MqttCode) -> None:
+    def note(self, topic: str, size: int, code: MqttCode) -> None:
         """Record whether the broker accepts a message, and so its size and its topic."""
         path = self._path(topic)
         if code.value == PACKET_TOO_LARGE:
@@ -404,7 +342,7 @@ class Outgoing:
             _log.warning("%s", with_fix(self._too_large, MESSAGE_SIZE_FIX))
         return True
 
-    def _settle(self, outcome: PayloadOutcome, slot: _Slot, item: _Item) -> None:
+    def _settle(self, outcome: PayloadOutcome, slot: Slot, item: Item) -> None:
         """Report the outcome of an item; of retained ones only refusals are counted."""
         if slot.retain:
             self._counters["refused"] += outcome == "refused"
@@ -414,7 +352,11 @@ class Outgoing:
         self._counters[outcome] += 1
         self._on_outcome(slot.topic, item.seq, outcome)
 
-    def _accepted(self, bytes_max: int | None) -> None:
+    def count(self, kind: str) -> None:
+        """Count what is not a payload of ours, such as a request."""
+        self._counters[kind] += 1
+
+    def accepted(self, bytes_max: int | None) -> None:
         """Begin a connection to a broker that accepts packets of this size; None is any."""
         self._counters["connects"] += 1
         self._bytes_max, self._bytes_max_why = (
@@ -425,7 +367,7 @@ class Outgoing:
         self._away.clear()
         self._pump(self._slots["state"])
 
-    def _lost(self) -> None:
+    def lost(self) -> None:
         """Forget the connection, if there is one."""
         if self.connected:
             self._counters["losses"] += not self._stopping
@@ -435,3 +377,18 @@ class Outgoing:
                     self._settle("failed", slot, item)
             self._away.set()
             self._state_sent.set()
+
+    def give_up(self) -> None:
+        """Forget the connection, and settle what waits for another one."""
+        self.lost()
+        for slot in self._slots.values():
+            if not slot.retain and slot.waiting is not None:
+                self._settle("failed", slot, slot.waiting)
+                slot.waiting = None
+
+    def _pump_last(self) -> None:
+        """Send the last payload of each stream, however many paho holds."""
+        for slot in self._slots.values():
+            if not slot.retain:
+                slot.most += 1
+                self._pump(slot)

@@ -190,7 +190,7 @@ def test_what_is_not_of_the_frame_gives_no_picture() -> None:
         ({"sensor": "a/b"}, "name: found 'a/b', expected a sensor"),
         ({"password_file": "absent"}, "No such file or directory: 'absent'"),
         ({"password_file": sys.executable}, "can't decode byte"),
-        ({"ca_file": "absent"}, "absent: No such file or directory, expected a PEM file"),
+        ({"ca_file": "absent"}, "absent: No such file or directory; expected a PEM file"),
         ({}, "Connection refused; expected a broker"),
     ],
 )

@@ -18,6 +18,7 @@ from support.published_sensor import bump, unmeasured
 from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.reference_in_use import References
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.mqtt.publishing import (
     STATUS,
@@ -416,12 +417,9 @@ def announcing(
 ) -> Iterator[tuple[MqttLink, HomeAssistant]]:
     """What of a daemon named `hand` announces it."""
     link = MqttLink(
-        host="127.0.0.1",
-        port=port,
+        broker_at("127.0.0.1", port, username=user, password=user),
         base_topic="tacshade/hand",
         client_id="tacshade-hand",
-        username=user,
-        password=user,
         on_request=lambda _: None,
         on_outcome=lambda *_: None,
     )

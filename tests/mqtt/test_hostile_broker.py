@@ -13,7 +13,7 @@ from support.published_sensor import CRC, bump
 import tacshade_edge as ts
 from tacshade_edge.bridge.prometheus import SensorMetrics
 from tacshade_edge.mqtt.caller import MqttCaller
-from tacshade_edge.mqtt.client import BrokerAddress
+from tacshade_edge.mqtt.client import BrokerAddress, broker_at
 from tacshade_edge.mqtt.follower import Follower
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.requests import Request
@@ -23,7 +23,7 @@ HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration
 
 
 def address(port: int) -> BrokerAddress:
-    return BrokerAddress(host="127.0.0.1", port=port, username=None, password=None, tls_ca=None)
+    return broker_at("127.0.0.1", port)
 
 
 def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes() -> None:
@@ -35,6 +35,28 @@ def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes
         assert rig.link.connected
         assert broker.connects == 2  # the guard of the client's id is the first
         rig.link.stop(2)
+
+
+def test_a_subscription_that_is_denied_is_reported_by_its_topic(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with HostileBroker(denied=1) as broker:
+        rig = Rig(broker.port)
+        rig.link.watch("status/home_assistant", lambda _: None)
+        rig.connect()
+        wait_until(lambda: "rejects" in caplog.text, 5, "the denial")
+        rig.link.stop(2)
+    assert f"rejects {BASE}/req/+: Not authorized" in caplog.text
+
+
+def test_a_bridge_that_stops_reports_no_loss(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    with HostileBroker() as broker:
+        follower = Follower(address(broker.port), lambda *_: None)
+        follower.start()
+        wait_until(lambda: "connected" in caplog.text, 5, "connected")
+        follower.stop()
+    assert "lost" not in caplog.text
 
 
 def test_a_bridge_hears_what_follows() -> None:

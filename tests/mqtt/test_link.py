@@ -20,6 +20,7 @@ from paho.mqtt.properties import Properties
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, numbers, offer_for
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import BadRequest, MqttLink, read_request
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
@@ -120,8 +121,9 @@ class TestUp:
 
     def test_killed_process_leaves_offline(self, broker: Broker, subscriber: Subscriber) -> None:
         code = (
-            "import sys, threading; from tacshade_edge.mqtt.link import MqttLink\n"
-            "link = MqttLink(host='127.0.0.1', port=int(sys.argv[1]), base_topic=sys.argv[2], "
+            "import sys, threading; from tacshade_edge.mqtt.client import broker_at\n"
+            "from tacshade_edge.mqtt.link import MqttLink\n"
+            "link = MqttLink(broker_at('127.0.0.1', int(sys.argv[1])), base_topic=sys.argv[2], "
             "client_id='child', on_request=print, on_outcome=print)\n"
             "link.start(); threading.Event().wait()"
         )
@@ -281,7 +283,7 @@ def test_a_reply_goes_below_res_whatever_topic_is_asked_for(asked: str) -> None:
 def test_topic_that_cannot_be_published_is_a_configuration_error(topic: str) -> None:
     with pytest.raises(ConfigError, match="expected levels"):
         MqttLink(
-            host="h", port=1, base_topic=topic, client_id="c", on_request=print, on_outcome=print
+            broker_at("h", 1), base_topic=topic, client_id="c", on_request=print, on_outcome=print
         )
 
 
@@ -289,7 +291,7 @@ def test_topic_that_cannot_be_published_is_a_configuration_error(topic: str) -> 
 def test_host_that_cannot_be_one_is_a_configuration_error(host: str) -> None:
     with pytest.raises(ConfigError, match="expected a host name"):
         MqttLink(
-            host=host, port=1, base_topic="t", client_id="c", on_request=print, on_outcome=print
+            broker_at(host, 1), base_topic="t", client_id="c", on_request=print, on_outcome=print
         )
 
 

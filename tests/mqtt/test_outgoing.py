@@ -5,8 +5,8 @@ the broker is a list of what paho was given.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -25,17 +25,14 @@ OK, NOBODY = (ReasonCode(PacketTypes.PUBACK, identifier=value) for value in (0, 
 class FakeClient:
     """What `Outgoing` needs of a client; `held` has what paho has not yet sent, by number."""
 
-    refused = 0
-
     def __init__(self) -> None:
         self.held: dict[int, tuple[str, bytes, int]] = {}
         self.given = 0
         self.fails = False
 
-    def answered(self, on_answer: Any) -> None:
-        self.on_answer = on_answer
+    on_answer: Callable[[int, ReasonCode], None]
 
-    def publish(self, topic: str, payload: bytes, qos: int, *_: object) -> SimpleNamespace:
+    def publish(self, topic: str, payload: bytes, qos: int, **_: object) -> SimpleNamespace:
         if self.fails:
             return SimpleNamespace(rc=MQTTErrorCode.MQTT_ERR_NO_CONN, mid=0)
         self.given += 1
@@ -57,16 +54,17 @@ class Side:
         self.out = Outgoing(
             self.client, "b", "t", lambda _, seq, outcome: self.outcomes.append((seq, outcome))
         )  # type: ignore[arg-type]
+        self.client.on_answer = self.out.answered
         self.out.set_retained("state", b"online")
 
     def connect(self) -> None:
         self.client.fails = False
-        self.out._accepted(None)
+        self.out.accepted(None)
         assert self.client.answer() == ("t/state", b"online", 1)
 
     def lose(self) -> None:
         self.client.held.clear()
-        self.out._lost()
+        self.out.lost()
 
 
 @given(st.lists(st.sampled_from(["offer", "offer", "sent", "fails", "lost", "back"]), max_size=60))

@@ -9,7 +9,7 @@ import pytest
 from support.hostile_broker import HostileBroker
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto
 
-from tacshade_edge.mqtt.client import packet_bytes, publish_properties
+from tacshade_edge.mqtt.packets import packet_bytes, publish_properties
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.wire.requests import Request
 from tools.testbed.mqtt_rig import Broker, Subscriber

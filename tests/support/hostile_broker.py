@@ -43,7 +43,7 @@ BAD = b"".join(map(publish, BAD_TOPICS))
 
 class HostileBroker:
     """It grants each subscription with `extra_codes` reason codes too many and sends `raw`
-    after it.
+    after it; it denies the first `denied` topics of each.
 
     It ends a connection that publishes more than `bytes_max`, and answers others of QoS 1
     with `code`; with `echo`, it sends these back.
@@ -53,12 +53,14 @@ class HostileBroker:
         self,
         *raw: bytes,
         extra_codes: int = 0,
+        denied: int = 0,
         bytes_max: int = 1 << 28,
         code: int = 0,
         echo: bool = False,
     ) -> None:
         self._bytes_max, self._code, self._echo = bytes_max, code, echo
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
+        self._denied = denied
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self._peers: list[socket.socket] = []
@@ -98,10 +100,9 @@ class HostileBroker:
                 if kind == 0x10:
                     peer.sendall(packet(0x20, b"\0\0\0"))
                 elif kind == 0x82:
-                    peer.sendall(
-                        packet(0x90, body[:2] + b"\0" + bytes(_filters(body) + self._extra))
-                        + self._raw
-                    )
+                    granted = bytes(_filters(body) + self._extra - self._denied)
+                    codes = b"\x87" * self._denied + granted
+                    peer.sendall(packet(0x90, body[:2] + b"\0" + codes) + self._raw)
                 elif kind & 0xF0 == 0x30 and len(body) > self._bytes_max:
                     return
                 elif kind & 0xF6 == 0x32:

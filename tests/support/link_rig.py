@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.wire.requests import Request
@@ -25,13 +26,11 @@ class Rig:
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.outcomes: dict[str, list[tuple[int, str]]] = defaultdict(list)
         self.link = MqttLink(
-            host="127.0.0.1",
-            port=port,
+            broker_at("127.0.0.1", port, **options),
             base_topic=BASE,
             client_id="tacshade-test",
             on_request=self.requests.put,
             on_outcome=lambda stream, seq, outcome: self.outcomes[stream].append((seq, outcome)),
-            **options,
         )
 
     def connect(self) -> Rig:

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.mqtt.publishing import Publisher
 from tacshade_edge.pipeline.observer import FrameResult
@@ -104,8 +105,7 @@ def step(folder: Path, profile: str, image: int, last: str, port: int, count: in
     waiting = threading.Semaphore(0)
     if last == "publish":
         link = MqttLink(
-            host="127.0.0.1",
-            port=port,
+            broker_at("127.0.0.1", port),
             base_topic="tacshade/counted",
             client_id="counted",
             on_request=lambda _: None,

@@ -1,0 +1,1 @@
+../../../tacshade_edge/mqtt/client.py
