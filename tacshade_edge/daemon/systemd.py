@@ -47,7 +47,7 @@ class Service:
         self._note = note
         notify("READY=1", f"STATUS={note or 'reloaded'}")
 
-    def _progressed(self, degraded: bool) -> bool:
+    def _progressed(self, *, degraded: bool) -> bool:
         """Whether, since the last call, stages of frames have ended; if `degraded`, also attempts
         to get frames. Attempts do not count while a frame hangs.
         """

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.running_app import Live
 
-from tacshade_edge.daemon import app
+from tacshade_edge.daemon import app, sensor_state
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.types import U8, Calibration, Frame
 from tools.testbed.mqtt_rig import Broker, Subscriber
@@ -119,7 +119,7 @@ def live(
     monkeypatch: pytest.MonkeyPatch,
 ) -> Live:
     monkeypatch.setattr(app, "HEALTH_PERIOD_S", 0.2)
-    monkeypatch.setattr(app, "STALL_S", 0.8)
+    monkeypatch.setattr(sensor_state, "STALL_S", 0.8)
     return Live(tmp_path, broker, seen, calibration)
 
 

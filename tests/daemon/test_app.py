@@ -30,7 +30,7 @@ from support.running_app import (
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
-from tacshade_edge.daemon.app import reload
+from tacshade_edge.daemon.reloading import reload
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.profiles import DEFAULT

@@ -141,7 +141,8 @@ def test_without_broker_and_camera_it_waits_and_says_each_once(folder: Path, sta
     stop(child, lines)
     (camera,), (broker,) = warnings(lines, "/dev/video99"), warnings(lines, "refused")
     assert camera.startswith(
-        "WARNING tacshade_edge.daemon.app: source away: camera /dev/video99: no such device"
+        "WARNING tacshade_edge.daemon.sensor_state: source away: camera /dev/video99: "
+        "no such device"
     )
     assert broker.startswith(
         f"WARNING tacshade_edge.mqtt.link: 127.0.0.1:{port}: Connection refused"
