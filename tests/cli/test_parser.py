@@ -191,8 +191,8 @@ def test_a_stop_while_the_camera_hangs_in_its_library(tmp_path: Path) -> None:
     )
     code = (
         f"{IN_A_LIBRARY}\nfrom tacshade_edge.cli.entry import entry\n"
-        "from tacshade_edge.recording import image_source\n"
-        "image_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
+        "from tacshade_edge.camera import file_source\n"
+        "file_source.FilesSource.read = lambda self: print('hangs', flush=True) or blur()\nentry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings)]
     with subprocess.Popen(

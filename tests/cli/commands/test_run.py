@@ -164,10 +164,9 @@ def test_a_source_that_can_never_work_ends_the_process_with_one_line_and_78(
 
 def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) -> None:
     code = (
-        "from tacshade_edge.cli.entry import entry; from tacshade_edge.recording import "
-        "image_source\n"
+        "from tacshade_edge.cli.entry import entry; from tacshade_edge.camera import file_source\n"
         "def read(self): raise ZeroDivisionError('a defect')\n"
-        "image_source.FilesSource.read = read\n"
+        "file_source.FilesSource.read = read\n"
         "entry()"
     )
     command = [sys.executable, "-c", code, "run", "--config", str(settings(folder, free_port()))]
