@@ -147,9 +147,8 @@ class Playback:
         self._paused = False
         self._steps = self._backs = 0
         self._seek_ns: int | None = None  # after the first frame
-        self._start: tuple[int, int] | None = (
-            None  # our time and the recording's when the present pace began
-        )
+        # Our time and the recording's when the present pace began.
+        self._start: tuple[int, int] | None = None
         self._first_ns: int | None = None
         self._last_ns = 0  # time of the latest frame that was shown
         self._seq: int | None = None

@@ -153,9 +153,8 @@ class Supervisor:
         part.again_s = part.heard_s = part.aborted_s = None
         part.status, part.began_s = "starting", time.monotonic()
         parent = os.getpid()
-        mask = signal.pthread_sigmask(
-            signal.SIG_BLOCK, _SIGNALS
-        )  # else one for the child reaches us
+        # Else one for the child reaches us.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             try:
                 part.pid = os.fork()

@@ -16,9 +16,8 @@ from tacshade_edge.types import Slip
 from tacshade_edge.wire.hand_messages import away, rounded_triple
 from tacshade_edge.wire.topics import Finger, HandObjects, Motion, Unobservable
 
-PATCHES_MAX: Final = (
-    4  # of a finger, the greatest first: a message of five fingers stays within the decoder's limit
-)
+# Of a finger, the greatest first: a message of five fingers stays within the decoder's limit.
+PATCHES_MAX: Final = 4
 PERIOD_NS: Final = 10_000_000
 """Shortest time between two fits: five cameras that do not expose together cause up
 to 250 messages a second.
@@ -121,15 +120,12 @@ GATHER_NS: Final = 3_000_000
 """Longest wait of a finger's news for other fingers in contact, whose next frame is due before
 then; shortest time between two messages.
 """
-QUIET_PERIOD_NS: Final = (
-    100_000_000  # longest time between two messages, without contact and change
-)
-FIRST_NS: Final = (
-    500_000_000  # longest wait for a silent finger before the first message to a new listener
-)
-STALLED_NS: Final = (
-    3_000_000_000  # a finger that has reported nothing for this long is away, as in `status/camera`
-)
+# Longest time between two messages, without contact and change.
+QUIET_PERIOD_NS: Final = 100_000_000
+# Longest wait for a silent finger before the first message to a new listener.
+FIRST_NS: Final = 500_000_000
+# A finger that has reported nothing for this long is away, as in `status/camera`.
+STALLED_NS: Final = 3_000_000_000
 
 _STARTING: Final = away(
     Reason(ReasonCode.STARTING, "the hand has received nothing from this sensor yet")
@@ -206,9 +202,8 @@ class HandAggregator:
         return message
 
 
-Reports = Iterable[
-    tuple[int, int, Finger]
-]  # a finger's `t_ns`, Unix time and report of each frame, in order
+# A finger's `t_ns`, Unix time and report of each frame, in order.
+Reports = Iterable[tuple[int, int, Finger]]
 
 
 def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:

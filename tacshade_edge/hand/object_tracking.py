@@ -27,15 +27,17 @@ from tacshade_edge.types import F64, frozen
 
 Triple = tuple[float, float, float]
 LEVER_MM: Final = 20.0  # distance from the axis of the point whose travel measures a rotation
+# Of a change of shear along each axis, and its increase per mm of motion.
 SHEAR_SD_MM, SHEAR_SD_PART = (
     0.05,
     0.2,
-)  # of a change of shear along each axis, and its increase per mm of motion
+)
+# Of depth; grows over the first 1.5 mm.
 DEPTH_SD_MM, DEPTH_SD_PART, DEPTH_SD_FAR_MM = (
     0.07,
     0.4,
     1.5,
-)  # of depth; grows over the first 1.5 mm
+)
 TWIST_SD_RAD: Final = np.radians(4.0)
 OBSERVED_SD_MM: Final = 0.8
 """A direction is unobserved if its standard deviation would exceed this after each patch moved
@@ -206,16 +208,14 @@ def _jacobian(arms_mm: F64) -> F64:
     return rows
 
 
-UNSEEN_MM_S: Final = (
-    10.0  # growth of the deviation of an unobserved direction that a link passes to the next
-)
+# Growth of the deviation of an unobserved direction that a link passes to the next.
+UNSEEN_MM_S: Final = 10.0
 REST_SHARE: Final = 0.1
 """Part of its covariance that a link without motion passes to the next: both see the error of the
 instant between them with opposite signs, so only the difference of their weights remains.
 """
-RECENTRED_MM: Final = (
-    0.1  # the reported point is amid the holding patches, if that changes its motion by less
-)
+# The reported point is amid the holding patches, if that changes its motion by less.
+RECENTRED_MM: Final = 0.1
 # Relative error common to all fingers' shear: skins of one make follow an object by the same part.
 GAIN_SD: Final = 0.2
 FARTHEST_LINE_MM: Final = 200.0  # a rotation about a line farther away counts as a translation

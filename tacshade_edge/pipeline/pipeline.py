@@ -220,9 +220,9 @@ class Grab:
                 _log.debug("%s", error)
                 self.attempts += 1
                 self._ledger.passed("failed")
-                if (
-                    self._reported is None
-                ):  # before any frame it is the source's state; in a stream it only counts
+                # Before any frame it is the source's state; in a stream it only
+                # counts.
+                if self._reported is None:
                     self._change_state(SourceState("away", error.reason))
                 continue
             if not went_on:

@@ -38,9 +38,8 @@ def cobs_encode(data: bytes) -> bytes:
             out.append(_FULL_BLOCK)
             out += run[at : at + _BLOCK]
             at += _BLOCK
-        if (
-            at == 0 or at < len(run) or number < len(runs)
-        ):  # a full block at the very end needs no further code
+        # A full block at the very end needs no further code.
+        if at == 0 or at < len(run) or number < len(runs):
             out.append(len(run) - at + 1)
             out += run[at:]
     return bytes(out)
@@ -119,6 +118,8 @@ class Framing:
     def feed(self, data: bytes) -> None:
         """Append received bytes."""
         if self.mode == "ASCII":
+            # Beside the buffer: a byte of a binary pose may look like the end of a line, and then
+            # the line takes the pose's beginning out of the buffer.
             self._since_zero += data
         self._buffer += data
 
@@ -156,9 +157,8 @@ class Framing:
     def _next_frame(self) -> Unit | None:
         while True:
             raw, zero, rest = self._buffer.partition(b"\0")
-            if (
-                b"HELLO 1" in raw and (hello := _HELLO.search(raw)) is not None
-            ):  # of a robot that restarted
+            # Before a zero is waited for: a robot that restarted speaks ASCII, which has none.
+            if b"HELLO 1" in raw and (hello := _HELLO.search(raw)) is not None:
                 self._counts.discard(hello.start())
                 self._skipping = False
                 self._buffer = self._buffer[hello.end() :]
@@ -166,6 +166,7 @@ class Framing:
                 return Unit(hello[1], is_line=True)
             if not zero:
                 if len(raw) > FRAME_BYTES_MAX:
+                    # What is kept may hold the beginning of a HELLO.
                     self._skip(keep=LINE_BYTES_MAX)
                 return None
             self._buffer = rest
@@ -193,12 +194,14 @@ class Framing:
         the daemon restarted, the robot not.
         """
         *frames, tail = self._since_zero.split(b"\0")
+        # The tail may be the beginning of a pose that is not whole yet.
         self._since_zero = tail[-(_POSE_FRAME_BYTES + 1) :]
         first = next((at for at, frame in enumerate(frames) if _is_pose(frame)), None)
         if first is None:
             return False
         self._counts.discard(len(self._buffer))
         self._skipping = False
+        # The first pose proves the mode, so it is read again as a frame and not lost.
         self._buffer = b"\0".join([*frames[first:], tail])
         self.switch("BIN")
         return True

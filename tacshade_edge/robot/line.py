@@ -49,6 +49,7 @@ def seal(text: str) -> bytes:
 
 def printable(text: str) -> str:
     """Convert `text` to printable ASCII and shorten it to fit on a line with its checksum."""
+    # The star, the four digits and the LF need six bytes.
     return "".join(c if " " <= c <= "~" and c != "*" else "?" for c in text[: LINE_BYTES_MAX - 6])
 
 

@@ -42,7 +42,9 @@ class SerialPort:
         self._low_latency = False
         self._proven = False
         self._port: serial.Serial | None = None
-        self._closing = threading.Lock()  # the number of a closed descriptor may already be reused
+        # For `wake`, which another thread calls while this one may close the port: the number of a
+        # closed descriptor may already belong to another file.
+        self._closing = threading.Lock()
 
     def open(self) -> None:
         """Open the port for exclusive use.
@@ -54,15 +56,15 @@ class SerialPort:
         try:
             check_kind(self.device)
         except ConfigError as error:
-            if (
-                self._proven
-            ):  # it worked before: the path under /dev has changed, and may change back
+            # It worked before: the path under /dev has changed, and may change back.
+            if self._proven:
                 raise DeviceError(str(error), code=error.code) from None
             raise
         try:
             port = serial.serial_for_url(self.device, do_not_open=True)
             port.baudrate = self.baud
             port.timeout, port.write_timeout = READ_S, WRITE_S
+            # A second program would take some of the bytes, and both would see garbage.
             port.exclusive = True
             port.open()
         except ValueError as error:  # pyserial: the port does not support this rate
@@ -73,9 +75,8 @@ class SerialPort:
             raise self._failed(error) from error
         self._port, self._proven = port, True
         self._low_latency = False
-        with contextlib.suppress(
-            AttributeError, NotImplementedError, ValueError
-        ):  # USB CDC, a pty, a URL
+        # USB CDC, a pty, a URL.
+        with contextlib.suppress(AttributeError, NotImplementedError, ValueError):
             port.set_low_latency_mode(True)
             self._low_latency = True
 
@@ -86,6 +87,8 @@ class SerialPort:
         """
         port = self._opened()
         try:
+            # One byte first, then what is there: asked for a chunk, pyserial waits `READ_S` for
+            # all of it, and every pose would be that late.
             first = bytes(port.read(1))
             return first + bytes(port.read(min(port.in_waiting, _CHUNK))) if first else first
         except (OSError, termios.error) as error:

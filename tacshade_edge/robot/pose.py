@@ -14,9 +14,8 @@ from tacshade_edge.robot.line import SEQ_MODULO, Line, crc16
 T_NS_MAX: Final = 2**63 - 1
 POSITION_MAX_MM: Final = 1e6
 UNIT_TOLERANCE: Final = 1e-2  # robots often send only four decimals
-POSES_BEHIND: Final = (
-    64  # a pose up to this far behind is a repeat; an older number restarts the count
-)
+# A pose up to this far behind is a repeat; an older number restarts the count.
+POSES_BEHIND: Final = 64
 
 _VALUES: Final = 8  # of a POSE line: the time, and `PoseValues`
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -85,6 +84,7 @@ def decode_pose(raw: bytes) -> PoseSample:
 
 def _checked(seq: int | None, t_ns: int, values: tuple[float, ...]) -> PoseSample:
     x, y, z, w, i, j, k = values
+    # A kilometre: whoever sends more uses another unit.
     if not max(abs(x), abs(y), abs(z)) <= POSITION_MAX_MM:  # also rejects NaN
         raise DecodeError(
             f"found {x:g} {y:g} {z:g}, expected a position within {POSITION_MAX_MM:g} mm of the "

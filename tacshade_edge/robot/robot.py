@@ -39,11 +39,16 @@ from tacshade_edge.wire.requests import Request
 
 # How long a frame waits for the pose after it: enough if the robot sends ten a second.
 POSE_WAIT_NS = 120_000_000
+# A robot repeats SYNC at least once a second, so by then three are missing.
 SILENT_NS = 3_000_000_000
+# FTDI chips hold bytes back for 16 ms, unless their driver is told to send after 1 ms.
 LATENCY_MAX_MS = 1
+# Frames whose pose is remembered: 17 s at 60 frames/s, longer than a session or the recorder lags.
 _POSES_KEPT: Final = 1024
 _BYTES_MAX: Final = 1 << 14
+# How late a follower notices `stop`, which has 0.1 s.
 _READ_S: Final = 0.05
+# Well below `SILENT_NS`, after which a follower takes the owner for dead.
 _LINE_PERIOD_NS: Final = 1_000_000_000
 _decoder: Final = msgspec.msgpack.Decoder(PoseHeard | ClockExchanged | RobotRestarted | LineState)
 
@@ -79,6 +84,7 @@ def share_lines(documents: Sequence[Document]) -> dict[str, SharedLine]:
         ends = []
         for name in followers:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+            # The serial thread of the owner must not wait for a follower that hangs.
             ours.setblocking(False)
             ends.append(ours)
             shared[name] = SharedLine(owner, hears=theirs)
@@ -163,6 +169,9 @@ class Robot(FrameObserver):
         self._forwarded_ns = 0
         self._stopped = threading.Event()
         self._with_pose = self._without_pose = 0
+        # Two threads, `stitch` and `record`, ask for the same frame. `lru_cache` alone would let
+        # both compute it at once, and later clock readings would place a press differently in
+        # each.
         self._first_answer = threading.Lock()
         self._answer_at = lru_cache(_POSES_KEPT)(lambda t_ns: self.motion.at(t_ns))
         # A daemon thread: a port that hangs must not keep the process.
@@ -184,9 +193,8 @@ class Robot(FrameObserver):
         if self._shared and self._shared.ends:
             before = self._forwarded
             changed = before is None or (line.port, line.mode) != (before.port, before.mode)
-            if (
-                changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS
-            ):  # a change at once, its counts once a second
+            # A change at once, its counts once a second.
+            if changed or now_ns - self._forwarded_ns >= _LINE_PERIOD_NS:
                 self._forwarded, self._forwarded_ns = line, now_ns
                 self._shared.forward(line)
         port = line.port
@@ -196,6 +204,8 @@ class Robot(FrameObserver):
             silent = now_ns - line.quiet_since_ns > SILENT_NS
             state, reason = "silent" if silent else "connected", sync.reason
             details = {**port.details, "mode": line.mode, "sync": sync.mode}
+            # A port that is open but silent: the cable may end in nothing, or the robot does not
+            # run.
             if silent:
                 reason = Reason(
                     ReasonCode.STALLED, f"received nothing for more than {SILENT_NS / 1e9:.0f} s"

@@ -22,6 +22,7 @@ from tacshade_edge.types import Frame, Reconstruction
 from tacshade_edge.wire.requests import Request
 from tacshade_edge.wire.results import ClockRead, FrameCaptured, LineStatus, SerialResult
 
+# Events of a robot that does not read: old ones are worth less than the newest.
 TOLD_MAX = 16
 
 
@@ -40,6 +41,7 @@ class SerialCommands:
     # BEGIN, ADD, END, ABORT or STATUS, and a name. None without sessions, which are made after the
     # robot, since they ask it for poses.
     stitch: Callable[[str, str, Reply], None] | None = None
+    # The main and the reconstruct thread put, the serial thread takes.
     _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(
         default_factory=SimpleQueue
     )
@@ -67,6 +69,8 @@ class SerialCommands:
         elif command.verb == "TOUCH":
             link.answer(command, self.touch.switch(parse_touch(command.args)))
         elif command.verb == "CAPTURE":
+            # The first frame taken after the command arrived: one that was on its way shows what
+            # was before.
             self._captures.put(command.arrived_ns, partial(self._answer, command))
         elif command.verb == "REFERENCE":
             self.on_request(Request("reference"), partial(self._answer, command))
@@ -102,6 +106,7 @@ class SerialCommands:
 
     def observe(self, frame: Frame, result: Reconstruction) -> None:
         """Answer the captures that arrived before this frame was taken."""
+        # In the reconstruct thread, which must not wait for the port: answers are queued.
         for answer in self._captures.take(frame.t_ns):
             answer(_captured(frame, result))
 

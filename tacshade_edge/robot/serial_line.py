@@ -24,9 +24,14 @@ from tacshade_edge.robot.verbs import ready_text
 
 _log = logging.getLogger(__name__)
 
+# A cable that is put back works again at once; one that is away costs one try a second.
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 1.0
+# The robot learns of lost poses within a second. The log, which a bad cable would fill for days,
+# has the sum once a minute.
 GAP_PERIOD_NS, GAP_LOG_PERIOD_NS = 1_000_000_000, 60_000_000_000
-NOT_READING_PAUSE_S = 1.0  # a robot that does not read gets nothing for this long
+# A robot that does not read gets nothing for this long: each try to write costs `WRITE_S`, in which
+# no pose is read.
+NOT_READING_PAUSE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +95,14 @@ class SerialChannel:
                 self._port.open()
                 self._on_open()
                 while not self._stop.is_set():
+                    # Only bytes prove that a port works: one that opens and fails at once keeps
+                    # its growing pauses.
                     if self._turn():
                         retry_s = FIRST_RETRY_S
             except DeviceError as error:
                 self._set_state(PortState("away", error.reason))
+                # The first failure after an opening is the loss; those that follow are tries to
+                # open again.
                 if self._lost_ns is None and self._opened:
                     self._lost_ns = time.monotonic_ns()
             finally:
@@ -133,6 +142,8 @@ class SerialChannel:
                 self._commands.touch.switch(None)
             else:
                 self._commands.handle(received, self._link)
+        # Answers before events, and a touch last: it waits for a port that is almost free, so
+        # that the newest one goes out.
         self._commands.send_answers(self._link)
         self._send_events(now_ns)
         self._send_touch()

@@ -26,9 +26,11 @@ from tacshade_edge.robot.verbs import (
 )
 from tacshade_edge.wire.results import SerialResult
 
+# Poses come up to a thousand times a second: as many answers would fill the line.
 BAD_POSE_PERIOD_NS: Final = 1_000_000_000
 REPLIES_KEPT: Final = 64
-_OURS: Final = frozenset({"OK", "ERR", "EVT"})  # echoes; answering them would never end
+# A robot, or a shell at the other end, may echo what we send; answering it would never end.
+_OURS: Final = frozenset({"OK", "ERR", "EVT"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +89,13 @@ class ReplyCache:
                 ReasonCode.NUMBER_REUSED, "found the number of another line, expected a new number"
             )
         behind = 0 if self._newest is None else (self._newest - seq) % SEQ_MODULO
-        if (
-            REPLIES_KEPT <= behind < SEQ_MODULO // 2
-        ):  # its reply may be gone: it may have been executed
+        # Its reply may be gone: it may have been executed.
+        if REPLIES_KEPT <= behind < SEQ_MODULO // 2:
             text = f"found an old line number, expected HELLO or a number above #{self._newest}"
             return Reason(ReasonCode.NUMBER_STALE, text)
         if self._newest is None or behind >= SEQ_MODULO // 2:
             self._newest = seq
+            # By number, not by age: the robot may leave numbers out.
             for old in [s for s in self._entries if (seq - s) % SEQ_MODULO >= REPLIES_KEPT]:
                 del self._entries[old]
         self._entries[seq] = _Entry(text, command)
@@ -195,6 +197,8 @@ class SerialLink:
         try:
             sample = decode_pose(raw)
         except DecodeError as error:
+            # Undamaged but wrong is a mistake in the robot's program, which its developer must
+            # learn of; damage is only counted.
             if raw[:1] == b"P" and crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little"):
                 self._bad_pose(None, str(error), now_ns)
             else:
@@ -209,6 +213,8 @@ class SerialLink:
                 self.counts.discard(len(raw))
             else:
                 self.counts.damaged += line.code == ReasonCode.BAD_CHECKSUM
+                # Not to a damaged echo of ours: its answer would come back damaged as well, and
+                # so on.
                 if raw.split(b" ", 1)[0] not in (b"OK", b"ERR", b"EVT"):
                     self._refuse(None, line)
             return
@@ -260,12 +266,12 @@ class SerialLink:
             self._refuse(line.seq, hello)
             return
         boot, crc_required = hello
-        if (
-            not boot or boot != self._session.boot
-        ):  # otherwise a repeated HELLO: the numbers stay known
+        # Otherwise a repeated HELLO: the numbers stay known.
+        if not boot or boot != self._session.boot:
             self._session = _Session(boot, replies=ReplyCache(line.seq))
             self._poses = PoseSequence()
             yield Greeted(boot)
+        # A repeated HELLO may change only this.
         self._session.crc_required = crc_required
         crc = "req" if crc_required else "opt"
         self._send(answer_text(line.seq, f"tacshade {PROTOCOL_VERSION} crc={crc} mode={self.mode}"))
@@ -280,6 +286,7 @@ class SerialLink:
             self._refuse(line.seq, admitted)
         elif admitted is not None:
             self.counts.repeats += 1
+            # Without a reply it is still in progress; its one answer will come to both.
             if admitted.reply is not None:
                 self._send(admitted.reply)
         elif command.verb == "MODE":
@@ -287,9 +294,8 @@ class SerialLink:
             text = answer_text(command.seq, mode)
             self._session.replies.keep(command, text)
             self._send(text)  # still in the old mode
-            self._framing.switch(
-                mode
-            )  # the bytes received after this line are in the new one already
+            # The bytes received after this line are in the new one already.
+            self._framing.switch(mode)
         else:
             self.counts.commands += 1
             yield command

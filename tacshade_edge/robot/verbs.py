@@ -263,6 +263,7 @@ def event_bytes_max(names: Sequence[str]) -> int:
     """The greatest length in bytes of an event of these quantities, with its checksum,
     in either mode.
     """
+    # The longest state is that of an end, the longest values are those of a touch.
     ends, touches = (
         len(
             seal(

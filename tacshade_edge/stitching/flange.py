@@ -28,11 +28,12 @@ ORDER = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "delay_ms")
 """Order of the covariance: the sensor's origin on the flange, a small turn about the flange's axes
 through that origin, and the delay of the frames' time stamps after the robot's poses.
 """
+# Standard deviation above which a direction was not seen.
 SEEN_MM, SEEN_DEG, SEEN_MS = (
     2.0,
     2.5,
     10.0,
-)  # standard deviation above which a direction was not seen
+)
 
 # Size of the cells (0: one quadratic function for all), and the deviation of heights at one place.
 _COARSE_MM = ((0.0, 1.0), (6.0, 0.6), (3.0, 0.4), (1.5, 0.25))
@@ -54,9 +55,8 @@ _LATERAL_RATIO = 2.0
 _CAUCHY_SIGMAS = 1.5
 _QUADRATIC_MM = 10.0
 _FACING_MIN = 0.5
-_RIDGE = (
-    1e-9  # relative to the weights: a few points in one place do not define a quadratic function
-)
+# Relative to the weights: a few points in one place do not define a quadratic function.
+_RIDGE = 1e-9
 _DIFFERENCE = 1e-5  # of numeric derivatives, in mm, rad and ms
 
 

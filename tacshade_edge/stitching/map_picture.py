@@ -23,9 +23,8 @@ def preview(raster: Raster) -> U8:
     """
     low, high = height_span_mm(raster.z_mm)
     rows, cols = raster.z_mm.shape
-    stride = max(
-        1, max(rows, cols) // (2 * PREVIEW_PX)
-    )  # a subset of cells is enough for a large map
+    # A subset of cells is enough for a large map.
+    stride = max(1, max(rows, cols) // (2 * PREVIEW_PX))
     z = raster.z_mm[::stride, ::stride]
     picture = colours(z, low, max(high, low + 0.1), _UNTOUCHED_GREY)
     if max(z.shape) > PREVIEW_PX:

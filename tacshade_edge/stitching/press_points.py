@@ -20,9 +20,8 @@ _STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
 # Confidence grows to 1 over this distance into the contact:
 # skin beyond it is skirt, off the object.
 OUTLINE_MM = 0.8
-RIM_FRACTION = (
-    0.2  # outer part of the disc's radius: the camera looks along the skin, and confidence falls
-)
+# Outer part of the disc's radius: the camera looks along the skin, and confidence falls.
+RIM_FRACTION = 0.2
 MIN_CONFIDENCE = 0.05
 # Of cells, which are divided or subsampled, so that a map of 0.25 mm has no holes between them.
 SPACING_MM = 0.3
@@ -107,9 +106,8 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
     )
     to_rim = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / RIM_FRACTION
     confidence = np.clip(np.minimum(inside_mm / OUTLINE_MM, to_rim), MIN_CONFIDENCE, 1)
-    contact = contact & np.isfinite(normals).all(
-        axis=2
-    )  # drops points with a neighbour outside the disc
+    # Drops points with a neighbour outside the disc.
+    contact = contact & np.isfinite(normals).all(axis=2)
     return PressPoints(points[contact], normals[contact], confidence[contact].astype(np.float32))
 
 

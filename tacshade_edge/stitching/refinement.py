@@ -54,9 +54,8 @@ def overlap_cells(at: F64, weight: F64, cell_mm: float) -> OverlapCells:
     column_row = np.floor(at[:, :2] / cell_mm).astype(np.int64)
     offset = at[:, :2] - (column_row + 0.5) * cell_mm
     column_row -= column_row.min(axis=0)
-    width = (
-        int(column_row[:, 0].max()) + 3
-    )  # a free column between rows, so that neighbours need no checks
+    # A free column between rows, so that neighbours need no checks.
+    width = int(column_row[:, 0].max()) + 3
     key = (column_row[:, 1] + 1) * width + column_row[:, 0] + 1
     used, cell = np.unique(key, return_inverse=True)
     z = _means(at[:, 2], weight, cell)
@@ -120,9 +119,8 @@ def refine_poses(
     prior: F64 = np.asarray(
         np.repeat((error.position_mm, np.radians(error.rotation_deg)), 3) ** -2.0, np.float64
     )
-    corrections = np.zeros(
-        (len(presses), 6)
-    )  # translation in mm, rotation vector in rad, from the reported pose
+    # Translation in mm, rotation vector in rad, from the reported pose.
+    corrections = np.zeros((len(presses), 6))
     poses = list(reported)
     for _ in range(ITERATIONS_MAX):
         step = _step(points, press_of, poses, centre_mm, corrections, prior)
@@ -149,9 +147,8 @@ def robots_part(
     shared = np.bincount(cell)[cell] > 1
     if not shared.any():
         return 0.0
-    own_part = (
-        weight / np.bincount(cell, weight)[cell]
-    )  # of the cell's mean, which follows the point by this part
+    # Of the cell's mean, which follows the point by this part.
+    own_part = weight / np.bincount(cell, weight)[cell]
     squares = (height - _means(height, weight, cell)[cell]) ** 2 / np.maximum(1 - own_part, 0.05)
     left2 = float(np.sum((weight * squares)[shared]) / np.sum(weight[shared]))
     moves = [change(reported[k], refined[k], centre_mm)[2] for k in np.unique(press_of[shared])]

@@ -182,9 +182,10 @@ class Sessions(FrameObserver):
         self._calibration = calibration
         if not self._state.name:
             return
+        # A frame of unknown depth is no press, and ends none.
         at_rest = not result.touched and self._rest.update(
             result.t_ns, result.valid and result.contact, result.depth_max_mm
-        )  # a frame of unknown depth is no press, and ends none
+        )
         replies = self._adds.take(frame.t_ns)
         if not replies and at_rest:
             replies = [self._note_missed]
