@@ -1,21 +1,38 @@
 """A picture of a sensor, looked at once: what stages need of it is derived when one asks, and kept.
 
-The judges and the gate see the same pictures in every profile; a network may see finer ones.
+The judges and the gate see the same pictures in every profile; a network may see finer ones. Most
+frames of an untouched skin show what an earlier one showed (`UnchangedSkin`).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from tacshade_edge.reasons import Reason
 from tacshade_edge.sensor.contact.gate import ContactGate, gate_preprocessor
 from tacshade_edge.sensor.frame_check import Judges, Measured, first_reason, picture, size_reason
+from tacshade_edge.sensor.geometry.disc import Window
 from tacshade_edge.sensor.image import greyscale
-from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor
+from tacshade_edge.sensor.image.preprocess import (
+    LEAST_SIDE_PX,
+    Preprocessed,
+    Preprocessor,
+    halved_image,
+)
 from tacshade_edge.sensor.profiles import Profile
-from tacshade_edge.types import U8, Calibration
+from tacshade_edge.types import U8, Calibration, Disc
+
+UNCHANGED_LEVELS = 8.0
+"""Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6,
+four deviations. A press that grows by a few hundredths of a millimetre changes more, so no contact
+is found later.
+"""
+_AROUND = 1.35
+"""Radii of the disc that are compared: as far out as the judge of the camera looks."""
 
 
 class Eye:
@@ -110,3 +127,39 @@ class Look:
     def lift(self) -> float:
         """`GlareFinder.lift` of the picture."""
         return self._eye.seen.lift(self._camera_grey)
+
+
+class UnchangedSkin:
+    """The latest untouched skin judged in full, and why it was `degraded`; it saves judging most
+    frames: all judges give the same result. Frames are compared with that one, so slow changes add
+    up.
+    """
+
+    def __init__(self, shape: tuple[int, ...], disc: Disc, *, halved: bool) -> None:
+        wide = Window.of_disc(shape[0], shape[1], replace(disc, radius_px=_AROUND * disc.radius_px))
+        self._halved = halved or min(shape) < LEAST_SIDE_PX
+        per_px = 1 if self._halved else 2
+        self._box = tuple(
+            slice(first // per_px, -((first + size) // -per_px))
+            for first, size in ((wide.row0, wide.rows), (wide.col0, wide.cols))
+        )
+        self._kept: U8 | None = None
+        self.degraded: Reason | None = None
+
+    def shown_in(self, grey: U8) -> bool:
+        """Whether an image, uint8 (H, W), shows the same untouched skin."""
+        return (
+            self._kept is not None
+            and cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= UNCHANGED_LEVELS
+        )
+
+    def keep(self, grey: U8, degraded: Reason | None) -> None:
+        """Remember an image, uint8 (H, W), that was found valid and without contact."""
+        shown = self._looked_at(grey)
+        self._kept, self.degraded = (
+            shown.copy() if shown.size else None,
+            degraded,
+        )  # some tiny images leave nothing
+
+    def _looked_at(self, grey: U8) -> U8:
+        return (grey if self._halved else halved_image(grey))[self._box]

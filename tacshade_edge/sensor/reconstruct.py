@@ -11,7 +11,7 @@ import numpy as np
 
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.contact.detection import TouchDetector
-from tacshade_edge.sensor.contact.gate import SURE_PART, UnchangedSkin
+from tacshade_edge.sensor.contact.gate import SURE_PART
 from tacshade_edge.sensor.contact.motion import WhiteChange
 from tacshade_edge.sensor.contact.objects import Objects, contact_of, find_objects
 from tacshade_edge.sensor.contact.rest import Evidence
@@ -22,7 +22,7 @@ from tacshade_edge.sensor.depth.sigma import sigma_of_scale_1, terms
 from tacshade_edge.sensor.depth.solver import Mark
 from tacshade_edge.sensor.frame_check import Measured, first_reason, foreign_skin
 from tacshade_edge.sensor.geometry.disc_map import rays_in_image
-from tacshade_edge.sensor.look import Eye, Look
+from tacshade_edge.sensor.look import Eye, Look, UnchangedSkin
 from tacshade_edge.sensor.profiles import NETWORK, Profile
 from tacshade_edge.sensor.touch.touch_answer import imprint_of, touch_by_model, touch_without_labels
 from tacshade_edge.types import (

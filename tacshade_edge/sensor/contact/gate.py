@@ -8,21 +8,13 @@ promises.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from tacshade_edge.reasons import Reason
-from tacshade_edge.sensor.geometry.disc import Window
-from tacshade_edge.sensor.image.preprocess import (
-    LEAST_SIDE_PX,
-    Preprocessed,
-    Preprocessor,
-    halved_image,
-)
+from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.sensor.profiles import GATE
-from tacshade_edge.types import F32, U8, Calibration, Disc
+from tacshade_edge.types import F32, U8, Calibration
 
 GATE_PART, GATE_NOISE = 0.04, 6.0
 """Part of the pixels that must have changed to ask a network, beyond what the references show and
@@ -33,12 +25,6 @@ at 640x480 and 0.23 at 320x240.
 PLAIN_PART, PLAIN_NOISE = 0.13, 24.0  # the same, for a contact where no network decides
 SURE_PART = 0.3  # part of the pixels beyond which no network need decide whether there is a contact
 GATE_MM2 = 3.0  # least area of skin that has changed
-UNCHANGED_LEVELS = 8.0
-"""Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6,
-four deviations. A press that grows by a few hundredths of a millimetre changes more, so no contact
-is found later.
-"""
-_AROUND = 1.35
 
 
 class ContactGate:
@@ -84,39 +70,3 @@ def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocess
     made = Preprocessor(calibration, GATE)
     same = (own.camera_px, own.profile.stride_px, own.profile.window_pitches)
     return own if same == (made.camera_px, GATE.stride_px, GATE.window_pitches) else made
-
-
-class UnchangedSkin:
-    """The latest untouched skin judged in full, and why it was `degraded`; it saves judging most
-    frames: all judges give the same result. Frames are compared with that one, so slow changes add
-    up.
-    """
-
-    def __init__(self, shape: tuple[int, ...], disc: Disc, *, halved: bool) -> None:
-        wide = Window.of_disc(shape[0], shape[1], replace(disc, radius_px=_AROUND * disc.radius_px))
-        self._halved = halved or min(shape) < LEAST_SIDE_PX
-        per_px = 1 if self._halved else 2
-        self._box = tuple(
-            slice(first // per_px, -((first + size) // -per_px))
-            for first, size in ((wide.row0, wide.rows), (wide.col0, wide.cols))
-        )
-        self._kept: U8 | None = None
-        self.degraded: Reason | None = None
-
-    def shown_in(self, grey: U8) -> bool:
-        """Whether an image, uint8 (H, W), shows the same untouched skin."""
-        return (
-            self._kept is not None
-            and cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= UNCHANGED_LEVELS
-        )
-
-    def keep(self, grey: U8, degraded: Reason | None) -> None:
-        """Remember an image, uint8 (H, W), that was found valid and without contact."""
-        shown = self._looked_at(grey)
-        self._kept, self.degraded = (
-            shown.copy() if shown.size else None,
-            degraded,
-        )  # some tiny images leave nothing
-
-    def _looked_at(self, grey: U8) -> U8:
-        return (grey if self._halved else halved_image(grey))[self._box]
