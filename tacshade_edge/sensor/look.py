@@ -49,6 +49,8 @@ class Eye:
         plain_pitch_px = None if with_network else seen.calibration.pitch_px
         self.judges = Judges(grey, disc, plain_pitch_px, seen.camera_px)
         self.gate = ContactGate(seen)
+        # A look writes into these, and the next look of the same eye overwrites them: no frame
+        # allocates an image, and none may be kept without a copy.
         self.grey_space: U8 = np.empty(self.shape, np.uint8)
         self.seen_space = seen.integrator.space()
         shared = seen is self.own
@@ -113,6 +115,7 @@ class Look:
     def own_white(self) -> Preprocessed:
         """The white that the profile's solver sees."""
         eye = self._eye
+        # Where the profile works on the gate's pictures, the disc is binarised once for both.
         if eye.own is eye.seen:
             return self.white
         return eye.own.preprocess(eye.own.grey(self._camera_grey), eye.own_space)
@@ -120,6 +123,7 @@ class Look:
     @property
     def measured(self) -> tuple[Measured, ...]:
         """What judges measure without a network; nothing after the first that refuses."""
+        # A black or torn picture has no white worth binarising.
         if first_reason(self.judged) is not None:
             return self.judged
         return self.judged + self.white_judged
@@ -136,10 +140,15 @@ class UnchangedSkin:
     """
 
     def __init__(self, shape: tuple[int, ...], disc: Disc, *, halved: bool) -> None:
+        # As far out as the judge of the camera looks, so that a moved surround is not taken for the
+        # same picture.
         wide = Window.of_disc(shape[0], shape[1], replace(disc, radius_px=_AROUND * disc.radius_px))
         self._halved = halved or min(shape) < LEAST_SIDE_PX
+        # Means over 2x2 px halve the camera's noise, so that the limit can be low; halved pictures
+        # are such means already.
         per_px = 1 if self._halved else 2
         self._box = tuple(
+            # -(a // -b) rounds up: no pixel of the box is lost to the halving.
             slice(first // per_px, -((first + size) // -per_px))
             for first, size in ((wide.row0, wide.rows), (wide.col0, wide.cols))
         )
@@ -149,6 +158,7 @@ class UnchangedSkin:
     def shown_in(self, grey: U8) -> bool:
         """Whether an image, uint8 (H, W), shows the same untouched skin."""
         return (
+            # OpenCV's norm of uint8 takes the absolute difference; NumPy's would wrap around.
             self._kept is not None
             and cv2.norm(self._looked_at(grey), self._kept, cv2.NORM_INF) <= UNCHANGED_LEVELS
         )

@@ -26,9 +26,9 @@ class Profile:
     name: str
     solver: str
     stride_px: int  # of eq. 1, and so of every later map
-    window_pitches: (
-        int  # side of eq. 1's window: whole pitches, so that the pattern itself averages out
-    )
+    # Side of eq. 1's window. Whole pitches, so that the pattern itself averages out: the ripple on
+    # a flat skin falls from 5 to 50 grey levels to half a level.
+    window_pitches: int
     tv_weight: float  # of the total-variation denoising, in units of g/255; 0 for none
     halved: bool = False  # work on means over 2x2 px of every camera, not only of noisy ones
     cells: int = disc_map.CELLS  # along a side of the network's map
@@ -45,7 +45,15 @@ PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile(
-            "paper", "hybrid_sfs", stride_px=4, window_pitches=2, tv_weight=0.1, outline=KMEANS
+            # Section IV-A slides the window "with a specific stride". The window averages two
+            # pitches, so a map of every pixel would hold no more, and eq. 11's outliers, which
+            # normalise the map, are rarer on fewer cells (docs/explanation/numerics.md).
+            "paper",
+            "hybrid_sfs",
+            stride_px=4,
+            window_pitches=2,
+            tv_weight=0.1,
+            outline=KMEANS,
         ),
         replace(_LEARNED, name="fast", network="fast", halved=True, cells=56),
         replace(_LEARNED, name="balanced", network="balanced", halved=True),
@@ -63,10 +71,10 @@ def profile_with(name: str, outline: Outline) -> Profile:
     return profile if profile.outline == outline else replace(profile, outline=KMEANS)
 
 
-GATE = replace(
-    _LEARNED, name="gate", network=None, halved=True
-)  # of the pictures that gate and judges see
+# Of the pictures that gate and judges see. For learned profiles, eq. 1 serves these alone.
+GATE = replace(_LEARNED, name="gate", network=None, halved=True)
 
+# Of `AUTO`, the most accurate first: it steps down, and up again.
 LADDER: tuple[str, ...] = tuple(
     name for name in ("accurate", "balanced", "fast") if name in PROFILES
-)  # of `AUTO`
+)

@@ -40,18 +40,8 @@ from tacshade_edge.types import (
     TouchModel,
 )
 
-STAGES = (
-    "check",
-    "grey",
-    "gate",
-    "denoise",
-    "depth",
-    "shear",
-    "cloud",
-    "sigma",
-    "touch",
-    "names",
-)  # in order
+# In order. What a step does not do, it does not mark.
+STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma", "touch", "names")
 
 Namer = Callable[[Reconstruction], tuple[TouchedObject, ...]]
 """Gives the objects of a frame in contact the names that were taught."""
@@ -166,6 +156,8 @@ class Reconstructor:
         answer = self._judged(frame, look, mark) or self._gated(frame, look, need, mark)
         if answer is not None:
             return answer
+        # So much changed that no network need say whether something touches: who asks only that
+        # gets the answer without one.
         if need == Need.CONTACT and look.changed_part >= SURE_PART:
             if self._detector is not None:
                 self._detector.contact(frame.t_ns, math.inf)  # nobody asks how deep
@@ -174,6 +166,7 @@ class Reconstructor:
         if isinstance(made, Reason):
             return self._empty(frame, reason=made)
         found = self._beside_map(frame, look, made)
+        # Marked here, because objects are found in `_mapped` and doubted beside the map.
         mark("cloud")
         if made.objects is None or found:
             return self._without_contact(frame, look, made, found, mark)
@@ -186,6 +179,8 @@ class Reconstructor:
         earlier one; None for any other.
         """
         reason = look.size_reason
+        # Cheapest first: one comparison recognises most frames of an untouched skin. The judges see
+        # grey alone, so a torn frame is refused before anything is binarised.
         unchanged = reason is None and self._unchanged.shown_in(look.grey)
         if reason is None and not unchanged:
             reason = first_reason(look.judged)
@@ -201,6 +196,7 @@ class Reconstructor:
         """The answer to a frame whose picture changed too little for anything to touch."""
         self.changed_part = look.changed_part
         mark("gate")
+        # A touch model was learnt from less change than a contact needs.
         least = self.gate_part
         if Need.TOUCH in need:
             least = min(least, self._touch_part)
@@ -234,6 +230,8 @@ class Reconstructor:
             mark("shear")
         geometry = self.calibration.geometry
         # The map without contact, 0 or NaN, adds NaN outside the disc.
+        # Eq. 2 needs h up to r. Clipped only now: two means split the heights as the solver found
+        # them.
         height_mm = np.minimum(depth.height_mm, np.float32(geometry.height_max_mm)) + self._zero_mm
         contact = contact_of(depth, inside, self.profile.outline)
         objects = None

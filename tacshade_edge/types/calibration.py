@@ -95,9 +95,8 @@ class FittedNetwork:
     error_mm: float
     shipped_error_mm: float
     factor: Positive = 1.0  # on h
-    error_scale: Positive | None = (
-        None  # factor on σ, measured on those presses (`sensor.depth.sigma`)
-    )
+    # Factor on σ, measured on those presses (`sensor.depth.sigma`).
+    error_scale: Positive | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "weights")
@@ -180,6 +179,7 @@ class TouchModel:
             raise ValueError("touch model: a deviation is not above 0")
 
 
+# A letter for each size, as in `TouchModel`; + for n + M, 2 for 2 m.
 _TOUCH_SHAPES = {
     **{"mean": "D", "deviation": "D", "components": "Dm", "spread": "m", "origin": "m"},
     **{"metric": "2n", "centres": "Mn", "basis": "+K"},
@@ -193,7 +193,7 @@ _TOUCH_SHAPES = {
         "high": "Q",
     },
     **{"imprint_weights": "TI", "imprint_precision": "II"},
-}  # a letter for each size, as in `TouchModel`; + for n + M, 2 for 2 m
+}
 TOUCH_ARRAYS = tuple(_TOUCH_SHAPES)
 
 
@@ -218,22 +218,17 @@ class Calibration:
     alpha: Annotated[float, Meta(ge=0, lt=_MOST)]
     # RMS of g_d (eq. 9) over the disc to which α belongs, which grows with it; 0: α is constant.
     alpha_grey: Annotated[float, Meta(ge=0, le=255)] = 0.0
-    factors: Mapping[str, Size] = field(
-        default_factory=dict
-    )  # on h, of each profile refitted to presses
+    # On h, of each profile refitted to presses.
+    factors: Mapping[str, Size] = field(default_factory=dict)
     fit: Fit | None = None
-    fitted: Mapping[str, FittedNetwork] = field(
-        default_factory=dict
-    )  # by profile, with its own factor
-    error_scales: Mapping[str, Size] = field(
-        default_factory=dict
-    )  # on σ, of shipped networks measured on presses
-    touch: Mapping[str, TouchModel] = field(
-        default_factory=dict
-    )  # by profile (``calibrate --labels``)
-    rest: Mapping[str, RestLimits] = field(
-        default_factory=dict
-    )  # by profile (``calibrate --rest``)
+    # By profile, with its own factor (``calibrate --fit``).
+    fitted: Mapping[str, FittedNetwork] = field(default_factory=dict)
+    # On σ, of shipped networks measured on presses.
+    error_scales: Mapping[str, Size] = field(default_factory=dict)
+    # By profile (``calibrate --labels``).
+    touch: Mapping[str, TouchModel] = field(default_factory=dict)
+    # By profile (``calibrate --rest``).
+    rest: Mapping[str, RestLimits] = field(default_factory=dict)
     flange_T_sensor: Annotated[tuple[Coordinate, ...], Meta(min_length=7, max_length=7)] = (
         IDENTITY_POSE
     )

@@ -31,7 +31,8 @@ def frozen(cls: type[Record]) -> type[Record]:
     names = tuple(cls.__annotations__)
 
     def freeze_arrays(self: Record) -> None:
-        for name in names:  # several records are made for every frame
+        # Several records are made for every frame, most of them of read-only arrays.
+        for name in names:
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and value.flags.writeable:
                 freeze(self, name)
@@ -75,9 +76,8 @@ class Frame:
     wall_ns: int  # the same instant as Unix time, for metadata only
     image: U8
     pose: Pose | None = None  # ``base_T_flange`` at `t_ns`, if known
-    pose_error_us: int = (
-        0  # greatest difference between `t_ns` and the pose's time; 0 without a pose
-    )
+    # Greatest difference between `t_ns` and the pose's time; 0 without a pose.
+    pose_error_us: int = 0
 
 
 @dataclass(frozen=True, slots=True)

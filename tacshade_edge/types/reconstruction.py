@@ -145,13 +145,11 @@ class Reconstruction:
     # cell's ray meets; NaN outside the disc, 0 without contact.
     shear_mm: F32 | None = None
     sigma_mm: F32 | None = None  # (rows, cols), standard deviation of `height` in contact, else NaN
-    untrusted: Bool | None = (
-        None  # (rows, cols): cells that do not show the sensor's skin, never contact
-    )
+    # (rows, cols): cells that do not show the sensor's skin, never contact.
+    untrusted: Bool | None = None
     touch: Touch | None = None  # none also if nobody requested it
-    touched: bool = (
-        False  # something touches, but its depth is unknown; never together with `contact`
-    )
+    # Something touches, but its depth is unknown; never together with `contact`.
+    touched: bool = False
 
     @property
     def shear_of_contact_mm(self) -> tuple[float, float] | None:

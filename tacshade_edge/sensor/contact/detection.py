@@ -54,6 +54,7 @@ class TouchDetector:
 
     def contact(self, t_ns: int, depth_mm: float) -> None:
         """Note a contact, which may leave a dent."""
+        # The dent of several presses in short order is that of the deepest.
         if self.relaxed(t_ns):
             self._contact_mm = 0.0
         self._contact_ns = t_ns
@@ -62,6 +63,7 @@ class TouchDetector:
     def relaxed(self, t_ns: int) -> bool:
         """Whether the skin has left no dent; frames of one time are no sequence."""
         last_ns = self._contact_ns
+        # Times that stand still or go back are single pictures or another recording.
         return last_ns is None or not 0 < t_ns - last_ns <= DENT_S * 1e9
 
     def moving(self, depth: Depth, white: F32) -> Reason | None:
@@ -70,6 +72,8 @@ class TouchDetector:
         """
         motion = self._motion(white)
         limits = self._limits
+        # Limits add touches and take no contact away (docs/decisions/0015-rest.md): of a contact
+        # that goes beyond the rest, a motion of the whole pattern is no excuse.
         if motion is None or limits is None or self._height_mm(depth) <= limits.height_mm:
             return motion
         return None
@@ -90,6 +94,8 @@ class TouchDetector:
             return None
         local_change, height_mm = self._change.local(white), self._height_mm(depth)
         relaxed = self.relaxed(t_ns)
+        # A dent changes the white and the picture as a touch does; only its height is known to be
+        # less than the press's.
         dent_mm = 0.0 if relaxed else DENT_PART * self._contact_mm
         found = []
         if height_mm > max(limits.height_mm, dent_mm):
@@ -105,6 +111,8 @@ class TouchDetector:
             found.append(f"{100 * changed_part:.0f} % of the picture changed")
         if not found:
             return None
+        # Asked last, as it searches the whole picture; a picture that changed beyond the rest is no
+        # spot of glare.
         levels = lift() if changed_part <= limits.changed_part else 0.0
         if levels >= FAINT_GLARE:
             text = f"faint glare: light lifts the darkest pixels of a place by {levels:.0f} levels"
@@ -115,6 +123,7 @@ class TouchDetector:
 
     def _motion(self, white: F32) -> Reason | None:
         """How the tip moves; None if it does not, or if the motion leaves a local change."""
+        # A sensor's own rest shows what a sway leaves, beyond what those of other sensors did.
         most = LOCAL if self._limits is None else self._limits.local_change
         motion = self._change.motion(white)
         far = motion.explained >= MOVING_PART and motion.moved_radii >= MOVED_RADII
@@ -131,5 +140,7 @@ class TouchDetector:
         heights = depth.height_mm.take(self._inside)
         if not heights.size:
             return 0.0
+        # A patch's mean: the greatest of many cells varies so much at rest that a limit for one
+        # frame in 10,000 would lie above most touches (docs/decisions/0015-rest.md).
         heights.partition(heights.size - self._pressed)
         return float(heights[-self._pressed :].mean())

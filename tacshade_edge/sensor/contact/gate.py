@@ -37,9 +37,12 @@ class ContactGate:
     def __init__(self, preprocessor: Preprocessor) -> None:
         self._preprocessor = preprocessor
         self._reference: U8 = preprocessor.window.cut(preprocessor.calibration.reference_white)
+        # A binary picture differs from the mean of several at the edges of markers: how much the
+        # mean picture itself does is no change.
         at_rest = preprocessor.preprocess(np.asarray(preprocessor.calibration.reference_grey))
         self._space = preprocessor.integrator.space()
         self._own: F32 = self._windows(at_rest.pixels)
+        # `noise_grey` is of eq. 1's g, 0 to 255; parts of pixels go to 1.
         noise = preprocessor.calibration.noise_grey / 255
         self.least_part = GATE_PART + GATE_NOISE * noise
         self.plain_part = PLAIN_PART + PLAIN_NOISE * noise
@@ -50,15 +53,16 @@ class ContactGate:
         changed = self._windows(preprocessed.pixels) - self._own
         if not changed.size:
             return 0.0
+        # The least changed cell of the most changed `GATE_MM2`: what a speck changes is smaller.
+        # `partition` does not sort the rest.
         at = changed.size - min(self._cells, changed.size)
         changed.partition(at)
         return float(changed[at]) / 255
 
     def _windows(self, pixels: U8) -> F32:
         """How much the pixels of each voting cell's window differ from the reference, 0 to 255."""
-        changed = cv2.absdiff(
-            pixels * np.uint8(255), self._reference
-        )  # OpenCV takes four rows of one for a scalar
+        # The product first: OpenCV takes an array of four rows of one for a scalar.
+        changed = cv2.absdiff(pixels * np.uint8(255), self._reference)
         preprocessor = self._preprocessor
         return preprocessor.voted(
             preprocessor.ratio(preprocessor.integrator.integrate(changed, self._space))
@@ -68,5 +72,7 @@ class ContactGate:
 def gate_preprocessor(calibration: Calibration, own: Preprocessor) -> Preprocessor:
     """The preprocessor of the gate's images; `own`, the profile's, if it makes the same."""
     made = Preprocessor(calibration, GATE)
+    # By what decides the pictures, not by name: a second preprocessor of the same pictures would
+    # binarise every frame once more.
     same = (own.camera_px, own.profile.stride_px, own.profile.window_pitches)
     return own if same == (made.camera_px, GATE.stride_px, GATE.window_pitches) else made

@@ -58,15 +58,21 @@ class WhiteChange:
         self._at = np.flatnonzero(disc)
         self._reference = _smooth(reference)
         self._space = np.empty_like(self._reference)
+        # Near the rim, less of the smoothing falls on the disc. Divided by that part, but not by
+        # the smallest ones, or the rim's noise would be the greatest change.
         self._weight = np.maximum(_around(disc.astype(np.float32)), np.float32(0.2))
         cell_radii = 2 * REACH / len(reference)
         axis = (np.arange(len(reference)) + 0.5 - len(reference) / 2) * cell_radii
         x, y = np.meshgrid(axis, axis)
         slopes = np.gradient(self._reference, cell_radii)
         down, across = np.asarray(slopes[0]), np.asarray(slopes[1])
+        # Light scales the white, or lifts it: everywhere alike, or more on one side.
         light = self._columns(self._reference, np.ones_like(x), x, y)
         self._light = _basis(light)[0]
+        # To first order, a shift changes a picture by its slopes, a turn by x times the slope down
+        # less y times that across.
         motion = self._columns(across, down, x * down - y * across)
+        # What light can do is not a motion's: the two explain separate parts, whose squares add.
         motion -= self._light @ (self._light.T @ motion)
         least = _LEAST_GRADIENT * np.sqrt(len(self._at))
         self._motion, self._from_motion = _basis(motion, least)
@@ -76,6 +82,7 @@ class WhiteChange:
         """The motion in a frame's white."""
         change = self._changed(white)
         light, seen = self._light.T @ change, self._motion.T @ change
+        # Of the change that light leaves.
         total = float(change @ change - light @ light)
         shift_x, shift_y, turn = (self._from_motion @ seen).tolist()
         explained = float(seen @ seen) / total if total > 0 else 0.0
@@ -89,6 +96,7 @@ class WhiteChange:
             return 0.0
         left = self._changed(white)
         left -= self._both @ (self._both.T @ left)
+        # In place: `_changed` returns a copy.
         left *= left
         squares = np.zeros(self._shape, np.float32)
         squares.put(self._at, left)

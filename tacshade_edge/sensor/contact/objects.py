@@ -52,6 +52,7 @@ def spreads(values: F64, ends: Sequence[int]) -> tuple[list[list[float]], list[S
     made: list[Spread] = []
     for start, end in pairwise((0, *ends)):
         part = rows[:, start:end]
+        # The last row is of ones: one product of matrices gives all sums, products and the count.
         *products, (*totals, count) = (part @ part.T).tolist()
         mean = [total / count for total in totals]
         means.append(list(map(add, origin, mean)))
@@ -68,6 +69,7 @@ def normals(spread: Sequence[Spread]) -> list[list[float]]:
     """Unit normals of planes through points, from their spreads, which begin with x, y, z;
     away from the camera.
     """
+    # `eigh` sorts its values upwards: the first vector is the direction of least spread.
     least = np.linalg.eigh(np.array([[row[:3] for row in each[:3]] for each in spread]))[1][:, :, 0]
     normal: list[list[float]] = (least * np.where(least[:, 2:] < 0, -1.0, 1.0)).tolist()
     return normal
@@ -100,9 +102,9 @@ class Objects:
 
 
 def contact_of(depth: Depth, inside: Bool, outline: Outline = NETWORK) -> Bool:
-    """Cells where the skin touches an object, without untrusted cells: the network's contact, or
-    the paper's split of the heights as found (clipped ones would all be equal for a great α), which
-    also serves a solver without a network.
+    """Cells where the skin touches an object, bool (rows, cols), without untrusted cells: the
+    network's contact, or the paper's split of the heights as found (clipped ones would all be equal
+    for a great α), which also serves a solver without a network. `inside` is the disc.
     """
     if depth.contact is None or outline == KMEANS:
         contact = inside & (depth.height_mm > two_means_split(depth.height_mm[inside]))
@@ -121,12 +123,15 @@ def find_objects(
 ) -> Objects | None:
     """Separate the objects in contact, with points of their skin; None if nothing touches.
 
-    `contact` holds only cells with a height; shear is (rows, cols, 2), `contact_logit` the
-    network's, if there is one.
+    `contact`, bool (rows, cols), holds only cells with a height; `height_mm`, float32 (rows, cols),
+    is h, at most r, NaN outside the disc; `shear_mm` is float32 (rows, cols, 2); `contact_logit`,
+    float32 (rows, cols), the network's, if there is one. `rays` are those of the same grid.
     """
     box = bounding_box(contact)
     if box is None:
         return None
+    # Every box that holds the contact and a cell around it gives the same points and areas, and a
+    # contact seldom fills the disc.
     height = np.ascontiguousarray(height_mm[box])
     planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
@@ -153,6 +158,7 @@ def objects_of(
 def _objects(
     labels: U16, box: Box, height_mm: F32, shear_mm: F32 | None, planes: F32, area: F32
 ) -> Objects | None:
+    # Not the contact asked for: cells of patches that are no objects are left out.
     labelled = np.zeros(height_mm.shape, bool)
     labelled[box] = labels > 0
     cells = cells_by_label(labels)
@@ -172,6 +178,8 @@ def bounding_box(contact: Bool) -> Box | None:
     """Rows and columns of the contact plus one on each side,
     because a cell's area needs its neighbours.
     """
+    # NumPy's bool is a byte of 0 or 1, and OpenCV takes such bytes: a view, where `astype` would
+    # copy.
     left, top, width, height = cv2.boundingRect(contact.view(np.uint8))
     if width == 0:
         return None
@@ -179,8 +187,9 @@ def bounding_box(contact: Bool) -> Box | None:
 
 
 def two_means_split(values: F32) -> float:
-    """The threshold of k-means with k = 2 over finite values, the paper's separation of object and
-    skin; infinity without two different values. It maximises the variance between the clusters
+    """The threshold of k-means with k = 2 over finite values, float32 (N,), the paper's separation
+    of object and skin (section V-A): values above it are the upper cluster; infinity without two
+    different values. It maximises the variance between the clusters
     (Otsu), over every threshold of a histogram.
     """
     if values.size == 0:
@@ -188,6 +197,8 @@ def two_means_split(values: F32) -> float:
     low, high = float(values.min()), float(values.max())
     if not high > low:
         return float("inf")
+    # Of one dimension, a cluster is an interval: trying every threshold finds the global optimum
+    # (up to a bin), which Lloyd's iterations only approach, and needs no seed.
     counts, edges = np.histogram(values.astype(np.float64), bins=BINS, range=(low, high))
     middles = (edges[:-1] + edges[1:]) / 2
     n0 = np.cumsum(counts)[:-1]
@@ -209,13 +220,14 @@ def label_objects(
     contact: Bool, cell_area: F32, planes_mm: F32, contact_logit: F32 | None = None
 ) -> U16:
     """Number the objects, which are connected contacts (8-neighbours) or parts of them, from 1, the
-    largest area first; 0 outside, in patches below 0.5 mm², and beyond the 65535 objects that a
-    cloud can number.
+    largest area first: uint16 (rows, cols), from cells of `cell_area` mm²; 0 outside, in patches
+    below 0.5 mm², and beyond the 65535 objects that a cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     count = part_objects(raw, count, planes_mm, cell_area, contact_logit)
     areas = np.bincount(np.ravel(raw), weights=cell_area.ravel(), minlength=count)
     areas[0] = 0.0
+    # Stable, so that equal areas keep the order of the scan on every processor.
     order = (-areas).argsort(kind="stable")
     order = order[: min(np.count_nonzero(areas >= MIN_OBJECT_MM2), LABELS_MAX)]
     new_label = np.zeros(count, dtype=np.uint16)
@@ -238,6 +250,8 @@ def _described(
     height, area of skin and shear (2, N) there.
     """
     ends = np.bincount(labels).cumsum()
+    # `ends` of label 0 is 0, and so the start of label 1. `reduceat` gives an empty range its next
+    # value instead of none, so no label may be missing.
     starts = ends[:-1]
     means, spread = spreads(
         np.concatenate((x_y_z, *([] if shear_mm is None else [shear_mm])), dtype=np.float64),

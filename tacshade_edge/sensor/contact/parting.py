@@ -26,9 +26,8 @@ LOBE_CELLS, LOBE_MM = 2.0, 1.2  # least inscribed radius of a lobe: less is nois
 CONTOUR_CELLS = 20  # length of the contour of two such lobes; shorter ones are not examined
 PEAK_CELLS = 5  # least number of cells of a lobe above its valley: fewer are noise
 VALLEY = 0.85  # least depth of a valley, in log odds: no gain makes up for a shallower one
-DISTANCE_ODDS = (
-    3.0  # log odds, without a network, of a distance from the outline that is e times another
-)
+# Log odds, without a network, of a distance from the outline that is e times another.
+DISTANCE_ODDS = 3.0
 NECK_ODDS = 6.0  # log odds that a neck is worth whose half width is 1 / e of a lobe's radius
 GAIN_ODDS = 4.0  # log odds that a full gain in convexity is worth
 EVIDENCE = 7.0  # least `evidence` that two parts are two objects
@@ -60,6 +59,8 @@ def part_objects(
     x, y and z, (3, rows, cols), `area_mm2` is each cell's, and `contact_logit` its log odds of
     contact, if they are known.
     """
+    # One search for all contacts: connected by 8 neighbours, no two share a contour. Every cell of
+    # it is kept, because Pick's theorem counts them.
     contours, _ = cv2.findContours(
         (raw > 0).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
@@ -102,7 +103,9 @@ def _finer(parts: I64, own: Bool, step: int) -> I64:
 
 def covered_part(contour: I32) -> float:
     """The part of its convex hull that a contour's cells, with those of its holes, cover."""
-    cells = cv2.contourArea(contour) + len(contour) / 2 + 1  # Pick's theorem
+    # A contour runs through the middles of its cells, so its area lacks half a cell all around:
+    # half of the outline's cells and one more belong to it (Pick's theorem).
+    cells = cv2.contourArea(contour) + len(contour) / 2 + 1
     return float(cells / _cells_in(cv2.convexHull(contour)))
 
 
@@ -115,6 +118,8 @@ def parts_of(own: Bool, planes_mm: F32, area_mm2: F32, contact_logit: F32 | None
     None if it is one object.
     """
     cell_mm = math.sqrt(float(area_mm2[own].mean()))
+    # A distance is measured to the nearest 0, and beyond the array there is none: without a border,
+    # a contact at its edge would have no outline there.
     edged = cv2.copyMakeBorder(own.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     inner = cv2.distanceTransform(edged, cv2.DIST_L2, 5)[1:-1, 1:-1]
     least_cells = max(LOBE_CELLS, LOBE_MM / max(cell_mm, 1e-9))
@@ -163,6 +168,7 @@ def seeds(
     if contact_logit is None:
         known = DISTANCE_ODDS * np.log(np.maximum(inner, np.float32(1)))
     else:
+        # A dip of a single cell is no valley.
         known = cv2.blur(contact_logit, (3, 3))
     odds: F32 = np.where(own, known, -np.inf).astype(np.float32)
     lowest, highest = float(odds[own].min()), float(odds.max())
@@ -204,11 +210,13 @@ def k_means(x: F64, start: F64, radii_mm: F64) -> tuple[I64, F64]:
     taken off the squared distances, so that a small cluster beside a large one ends where their
     circles meet. Returns each point's cluster, and the centres.
     """
+    # Less the mean, so that little cancels in the squares below.
     origin = x.mean(axis=0)
     points, centres = x - origin, start - origin
     doubled = 2 * points
     assigned = np.full(len(x), -1)
     for _ in range(STEPS_MAX):
+        # The points' own squares are the same for every centre, and are left out of the comparison.
         offset = radii_mm * radii_mm - (centres * centres).sum(axis=1)
         nearest = (doubled @ centres.T + offset).argmax(axis=1)
         if (nearest == assigned).all():
@@ -223,6 +231,7 @@ def k_means(x: F64, start: F64, radii_mm: F64) -> tuple[I64, F64]:
 
 def silhouette(x: F64, assigned: I64, centres: F64) -> float:
     """Mean silhouette of points (N, D), from distances to the clusters' centres."""
+    # To the centres, not between all pairs of points, which would take their number squared.
     apart = np.linalg.norm(x[:, None] - centres, axis=2)
     own = np.take_along_axis(apart, assigned[:, None], axis=1)[:, 0]
     np.put_along_axis(apart, assigned[:, None], np.inf, axis=1)
@@ -245,6 +254,7 @@ def evidence(lobes: Sequence[Lobe], places: I32, assigned: I64, inner: F32) -> f
     for i, j in combinations(range(len(lobes)), 2):
         common = cv2.convexHull(np.concatenate((hulls[i], hulls[j])))
         common_waste = _cells_in(common) - len(parts[i]) - len(parts[j])
+        # Less than a cell of waste is the outline's rounding.
         gain = 1 - (wasted[i] + wasted[j]) / max(common_waste, 1.0)
         meeting = inner[(cv2.dilate(masks[i], _AROUND) & masks[j]).view(bool)]
         neck = math.log(

@@ -54,6 +54,7 @@ def upper_bound(values: Sequence[float], rate: float) -> float:
     k = min(n // 2, TAIL)
     start = ordered[k]
     mean = float(ordered[:k].mean() - start)
+    # (k + 1) / (n + 1) · (1 + c / k)^-k = rate, solved for c.
     factor = k * (((k + 1) / ((n + 1) * rate)) ** (1 / k) - 1)
     return float(start + factor * mean)
 
@@ -68,11 +69,13 @@ def limits_of(
     """
     if len(rest) < LEAST_FRAMES:
         return None
+    # Any kind may call a touch (Bonferroni): together they call one as seldom as asked.
     each = false_contacts / KINDS
 
     def limit(of: Callable[[Evidence], float]) -> float:
         values = [of(one) for one in rest]
         usual = float(np.median(values))
+        # How far a pixel moves the middle of the values: the few moved frames have no tail to show.
         ways = [float(np.median([of(one) for one in way])) for way in moved if way]
         return upper_bound(values, each) + max(max(ways, default=usual) - usual, 0.0)
 
@@ -94,5 +97,6 @@ def moved_by_a_pixel(image: U8, way: int) -> U8:
     edge = 0 if step > 0 else image.shape[axis] - 1
     at = [slice(None)] * image.ndim
     at[axis] = slice(edge, edge + 1)
+    # `roll` brings in the edge of the far side; the picture's own one is repeated instead.
     moved[tuple(at)] = image[tuple(at)]
     return moved

@@ -23,18 +23,15 @@ from operator import add, mul
 from tacshade_edge.types import Reconstruction, Slip, TouchedObject
 
 LEAST_DEPTH_MM = 0.2  # to divide by; less is noise
-SPANS_NS = (
-    70_000_000,
-    150_000_000,
-    250_000_000,
-)  # of a speed; the shortest that stands out of the noise shows a slip
+# Spans over which a speed is measured. The shortest that stands out of the noise shows a slip: a
+# fast one within 100 ms at 30 frames a second or more.
+SPANS_NS = (70_000_000, 150_000_000, 250_000_000)
 LEAST_FRAMES = 3
 SLIP_MM_S = 3.0  # least speed of the imprint over the material that is a slip
 LEAST_SHEAR_MM = 0.3  # least drag of the skin under a sliding contact
 FULL_PART = 0.6  # least part of its motion that a wholly sliding contact makes over the material
-NOISE_SPREADS = (
-    5.5  # speeds from noise alone are below this many deviations in all but one of a million frames
-)
+# Speeds from noise alone are below this many deviations in all but one of a million frames.
+NOISE_SPREADS = 5.5
 FIRST_NOISE_MM, NOISE_FRAMES = 0.06, 32
 """Initial noise of an imprint's place along each axis,
 and the number of frames over which it is learned.
@@ -61,9 +58,8 @@ _Seen = deque[tuple[int, float, float, float, float, float]]
 @dataclass(slots=True, eq=False)
 class _Track:
     number: int
-    seen: _Seen = field(
-        default_factory=deque
-    )  # time, the imprint's place in the material, the contact's place, depth
+    # Time, the imprint's place in the material, the contact's place, depth.
+    seen: _Seen = field(default_factory=deque)
     noise_mm2: float = FIRST_NOISE_MM**2
     at_mm: tuple[float, float] = (0.0, 0.0)
     extent_mm: tuple[float, float] = (0.0, 0.0)
@@ -105,6 +101,7 @@ class ContactTracker:
         """
         left, followed = [*self._tracks, *self._joined], []
         for touched in objects:
+            # The largest objects choose first: they are given in order of area.
             track = min(left, key=lambda one: one.away_mm(touched), default=None)
             if track is None or math.isinf(track.away_mm(touched)):
                 self._count += 1
@@ -157,6 +154,7 @@ def _followed(track: _Track, t_ns: int, touched: TouchedObject) -> TouchedObject
     if track.seen and t_ns <= track.seen[-1][0]:
         track.seen.clear()  # another stream
     track.seen.append((t_ns, *held, *track.at_mm, depth_mm))
+    # At a low frame rate, the least number of frames spans more than the longest span.
     while len(track.seen) > LEAST_FRAMES and track.seen[-1][0] - track.seen[0][0] > SPANS_NS[-1]:
         track.seen.popleft()
     track.noise_mm2 += (_noise_mm2(track.seen, track.noise_mm2) - track.noise_mm2) / NOISE_FRAMES
@@ -171,6 +169,7 @@ def _noise_mm2(seen: _Seen, known_mm2: float) -> float:
     if len(seen) < LEAST_FRAMES:
         return known_mm2
     a, b, c = (seen[at][1:3] for at in range(-LEAST_FRAMES, 0))
+    # A second difference has the variance 6 σ² (1 + 4 + 1), and there are two axes.
     return sum((p - 2 * q + r) ** 2 for p, q, r in zip(a, b, c, strict=True)) / 12
 
 
@@ -186,9 +185,8 @@ def _slide(
     way_x, way_y = (part / size if size >= LEAST_SHEAR_MM else 0.0 for part in shear_mm)
     t_ns, *places = zip(*seen, strict=True)
     speed = 0.0
-    for span_ns in (
-        SPANS_NS if size >= LEAST_SHEAR_MM else SPANS_NS[-1:]
-    ):  # undragged skin does not slide
+    # Undragged skin does not slide: only its speed is wanted.
+    for span_ns in SPANS_NS if size >= LEAST_SHEAR_MM else SPANS_NS[-1:]:
         first = min(bisect_left(t_ns, t_ns[-1] - span_ns), len(seen) - LEAST_FRAMES)
         t_s = [(each - t_ns[-1]) * 1e-9 for each in t_ns[first:]]
         mean_s = sum(t_s) / len(t_s)
@@ -200,6 +198,10 @@ def _slide(
             sum(map(mul, t_s, place[first:])) / spread for place in places
         )
         speed = math.hypot(held_x, held_y)
+        # By Coulomb's law a sliding contact bears its limit, which follows its depth: skin that
+        # goes back faster than the depth explains is being unloaded. Without this, a shaken object
+        # would seem to slip whenever it swings back, because networks underestimate how far its
+        # place moves with its drag.
         loosened = size * max(0.0, -deeper) / max(places[-1][-1], LEAST_DEPTH_MM)
         moved = moved_x * way_x + moved_y * way_y
         slid = min(held_x * way_x + held_y * way_y, moved + loosened)

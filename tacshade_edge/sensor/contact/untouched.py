@@ -64,7 +64,9 @@ class UntouchedFrames:
         self._measured: list[Measured | None] = []
         self._moved: Measured | None = None
         self._way = 0
-        self._finished: Untouched | Reason | None = None  # set by one thread, cleared by the other
+        # Set by one thread while it is None, cleared by the other: without a lock, as each is one
+        # assignment.
+        self._finished: Untouched | Reason | None = None
         self._last_ns: int | None = None
         self._free_ns: int | None = None  # the latest frame within the limits
         self._touched_ns = self._due_ns = 0
@@ -116,6 +118,7 @@ class UntouchedFrames:
         if at == UNTOUCHED_FRAMES:
             return
         if at == 0:
+            # One way for each batch: all four would take as long as the frames themselves.
             self._moved = self._measure(moved_by_a_pixel(image, self._way))
         if at % MEASURED_EVERY == 0:
             self._measured.append(self._measure(image))
@@ -164,6 +167,7 @@ class RestLearner:
 
     def add(self, batch: Untouched) -> None:
         """Learn from a batch; its images are not kept."""
+        # 200 batches of ten images in colour would take two gigabytes.
         self._batches.append(replace(batch, images=[]))
 
     def limits(self, first: RestLimits | None) -> RestLimits | None:
@@ -186,6 +190,7 @@ def within(made: RestLimits, first: RestLimits) -> RestLimits:
     """Limits kept within `FACTOR` of the first ones."""
 
     def kept(value: float, about: float, least: float) -> float:
+        # A factor of a limit near zero, or below, leaves no room.
         room = (FACTOR - 1) * max(abs(about), least)
         return min(max(value, about - room / FACTOR), about + room)
 

@@ -65,7 +65,9 @@ class HybridIteration:
         R has the symmetry of a real image's transform: half of it is enough.
         """
         _backward(g_hn, self._gradient)
-        # In float64, which takes no longer and divides the largest error by four.
+        # Eq. 12 is of slopes p and q; ref. [20] takes their transforms and never inverts them: with
+        # 25 iterations they still decide the result. In float64, which takes no longer and divides
+        # the largest error by four.
         p, q = self._rfft2(self._gradient.astype(np.float64)).astype(np.complex64)
         real, imaginary = _norm2(p.real, p.imag, q.real, q.imag, _ONE)
         reflectance = np.stack(_inverse(real, imaginary)[:2])
@@ -89,6 +91,7 @@ class HybridIteration:
             cells = np.flatnonzero(moving)
             before = z.take(cells, axis=1)
             z[0] -= growth
+            # Eq. 11.
             z[:, cells] = before - _step(p_and_q.take(cells, axis=1), grey.take(cells))
 
 
@@ -105,6 +108,7 @@ def _step(p_and_q: F32, grey: F32) -> F32:
     p, p_i, q, q_i = p_and_q
     n, n_i = _norm2(p, p_i, q, q_i, _PER_SCALE * _PER_SCALE)
     r, r_i, s, s_i = _inverse(n, n_i)
+    # Eq. 12 for light from the camera: f = g_hn - R with R = (1 + p² + q²)^-½, and f' = (p + q) R³.
     f, f_i = grey - r * _PER_SCALE, -r_i * _PER_SCALE
     cube, cube_i = r * s - r_i * s_i, r * s_i + r_i * s
     sum_, sum_i = p + q, p_i + q_i
@@ -117,6 +121,7 @@ def _step(p_and_q: F32, grey: F32) -> F32:
 
 def _norm2(p: F32, p_i: F32, q: F32, q_i: F32, one: np.float32) -> tuple[F32, F32]:
     """p² + q² + 1."""
+    # As a product, because p² - p_i² loses its digits where the two are near each other.
     return (p - p_i) * (p + p_i) + (q - q_i) * (q + q_i) + one, _TWO * (p * p_i + q * q_i)
 
 

@@ -32,6 +32,7 @@ def hybrid_depth(maps: GreyMaps, alpha_mm: float, unit_height: UnitHeight) -> De
     g_hn, bad = finite_shape_grey(maps)
     found, repaired = unit_height(g_hn, maps.inside)
     z = np.where(maps.inside, found, 0).astype(np.float64)
+    # Eq. 11 has no scale of its own: the greatest height of every contact becomes α.
     top = float(z.max(initial=0.0))
     height = np.minimum(alpha_mm * (z / top if top > 0 else z), np.finfo(np.float32).max)
     return Depth(height_mm=height.astype(np.float32), repaired_px=repaired + bad)
@@ -82,6 +83,7 @@ class HybridSfs:
     def solve(
         self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
     ) -> Depth:
+        """Depth of an image on `grid`; only its heights show the contact."""
         maps = self._grey_mapper.maps(preprocessed)
         mark("denoise")
         # Eq. 10 normalises the depth away; what grows with it is how much the whole skin changed.

@@ -58,6 +58,7 @@ def as_learnt(geometry: Geometry) -> Geometry:
     half, d = math.radians(LEARNT_DEG), geometry.camera_distance_mm
     r = geometry.visible_radius_mm / math.sin(half)
     if d is not None:
+        # Seen from where the lens is, the circle keeps its size: f and the circle's plane stay.
         d = geometry.f_px * geometry.mm_per_px - r * math.cos(half)
     return Geometry(r, d, LEARNT_DEG, geometry.disc)
 
@@ -127,9 +128,9 @@ class LearnedShear(_Prepared):
 
 @frozen
 class Inverse:
-    """The network's result for a frame: h, sometimes slightly below 0 without contact, and the log
-    odds of contact at the map's cells; (M, M) log odds that a cell (fewer and wider ones) shows
-    something other than this sensor's skin.
+    """The network's result for a frame, float32 (cells, cells): h, sometimes slightly below 0
+    without contact, and the log odds of contact at the map's cells; float32 (M, M) log odds that a
+    cell (fewer and wider ones) shows something other than this sensor's skin.
     """
 
     height_mm: F32
@@ -183,6 +184,7 @@ class LearnedSolver:
         self._shear = LearnedShear(
             shear, calibration.geometry, calibration.pitch_px, self.fine_reference
         )
+        # A fitted network has a factor of its own; the calibration's are of the shipped weights.
         fitted = camera.fitted.get(profile.name)
         self._factor = np.float32(
             fitted.factor if fitted else camera.factors.get(profile.name, 1.0)
@@ -215,10 +217,12 @@ class LearnedSolver:
     def solve(
         self, preprocessed: Preprocessed, mark: Mark, features: Features | None = None
     ) -> Depth:
+        """Depth and contact of an image on `grid`."""
         inverse = self.inverse(preprocessed, features)
         height = inverse.height_mm * self._factor
         finite = np.isfinite(height)
         repaired_px = finite.size - int(np.count_nonzero(finite))
+        # Finite before it is clipped: NumPy's maximum hands a NaN on.
         if repaired_px:
             height = np.where(finite, height, np.float32(0))
         np.maximum(height, np.float32(0), out=height)
@@ -237,6 +241,9 @@ class LearnedSolver:
         )
 
     def shear_mm(self, preprocessed: Preprocessed, features: Features | None = None) -> F32:
+        """Shear along x and y at the cells of `grid`, mm, float32 (rows, cols, 2), finite, and
+        undefined outside the disc; the caller owns the array.
+        """
         return self._shear(self.fine_white(preprocessed), self.grid.rows, features)
 
 

@@ -54,16 +54,16 @@ class SigmaModel:
 def terms(
     height_mm: F32, contact_logit: F32, untrusted_logit: F32, where: Bool, geometry: Geometry
 ) -> F32:
-    """The x_i of the chosen cells, (N, len(TERMS)), finite;
-    heights are NaN or 0 outside the disc.
+    """The x_i of the chosen cells `where`, bool (cells, cells): float32 (N, len(TERMS)), finite.
+
+    `height_mm` and `contact_logit` are float32 (cells, cells) on `disc_map.map_grid`, heights NaN
+    or 0 outside the disc; `untrusted_logit` is float32 (M, M).
     """
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
     first_row, first_col = max(top - 1, 0), max(left - 1, 0)
-    box = (
-        slice(first_row, top + height + 1),
-        slice(first_col, left + width + 1),
-    )  # with each cell's neighbours
+    # With each cell's neighbours, which its slope needs.
+    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)
     near, at = np.fmax(height_mm[box], np.float32(0)), np.flatnonzero(where[box])
     along, across = (
         cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE).take(at)
@@ -76,13 +76,15 @@ def terms(
     x = np.empty((len(TERMS), len(at)), np.float32)
     x[0] = 1
     x[1] = np.log(_LEAST_HEIGHT_MM + near.take(at) / np.float32(disc_map.skin_scale(geometry)))
+    # Sobel's weights add to 8 for a slope of 1 per cell.
     x[2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
     untrusted = untrusted_logit[(row + first_row) // each, (col + first_col) // each]
     for k, logit, (low, high) in (
         (3, contact_logit[box].take(at), _CONTACT_RANGE),
         (4, untrusted, _UNTRUSTED_RANGE),
     ):
-        np.maximum(np.fmin(logit, np.float32(high)), np.float32(low), out=x[k])  # fmin replaces NaN
+        # `fmin` replaces NaN by the upper end: more doubt of an untrusted cell, and contact.
+        np.maximum(np.fmin(logit, np.float32(high)), np.float32(low), out=x[k])
     return x.T
 
 

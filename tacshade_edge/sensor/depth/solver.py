@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from tacshade_edge.sensor.depth.sigma import SigmaModel
 from tacshade_edge.types import F32, Bool, frozen
 
-Mark = Callable[
-    [str], None
-]  # called with a stage's name at its end, so that a caller with a clock can time it
+# Called with a stage's name at its end, so that a caller with a clock can time it: this package
+# has none.
+Mark = Callable[[str], None]
 Features = list[F32]  # collects the features for a touch model, network by network
 
 
@@ -18,9 +18,12 @@ Features = list[F32]  # collects the features for a touch model, network by netw
 class Depth:
     """A solver's answer on its grid.
 
-    `height_mm` is finite and not below 0, `contact` (None if only the heights show it) is False
-    outside the disc; `repaired_px` counts values that were not finite, replaced by 0; `untrusted`
-    cells show something other than this sensor's skin; their log odds are (M, M).
+    `height_mm`, float32 (rows, cols), is h, finite, not below 0, and undefined outside the disc;
+    `contact`, bool (rows, cols) (None if only the heights show it), is False outside the disc;
+    `saturated`: a cell left the range of the calibration; `repaired_px` counts values that were not
+    finite, replaced by 0; `untrusted` cells, bool (rows, cols), undefined outside the disc, show
+    something other than this sensor's skin. Log odds are float32: of contact (rows, cols), of
+    untrusted (M, M), for fewer and wider cells.
     """
 
     height_mm: F32

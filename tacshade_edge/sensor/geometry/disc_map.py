@@ -37,6 +37,7 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
     disc = geometry.disc
     axis = (np.arange(cells) + 0.5 - cells / 2) * (2 * REACH / cells)
     x, y = np.meshgrid(axis, axis)
+    # The square reaches beyond the disc, where a steep skin's ray would miss the sphere.
     rho2 = np.minimum(x * x + y * y, 1.0)
     sin_half = np.sin(np.radians(geometry.visible_half_angle_deg))
     if geometry.skin == "pad":
@@ -55,6 +56,7 @@ def geometry_maps(geometry: Geometry, pitch_px: float, cells: int = CELLS) -> F3
         along = (d + root) / k
         gain = sin_half / along
         cosine = (along * k - d) / np.sqrt(k)
+    # In the networks' unit of length, `learned.HEIGHT_SCALE`.
     pitch = np.full_like(x, 10 * pitch_px / disc.radius_px)
     return np.stack((x, y, gain * x, gain * y, cosine, pitch)).astype(np.float32)
 

@@ -72,6 +72,8 @@ def read_part(onnx: Path, fitted: FittedNetwork | None = None) -> Network:
     it.
     """
     about, (frame, once) = _about(onnx), _files(onnx, fitted)
+    # A list, which the first touch fills: its graph takes as much memory as the other, and most
+    # sensors answer no touch.
     session, more = _session(in_integers(onnx, frame)), list["InferenceSession"]()
     touch = _touch_file(onnx) if _touch_file(onnx).exists() else None
 
@@ -97,8 +99,10 @@ def _files(onnx: Path, fitted: FittedNetwork | None) -> tuple[bytes, bytes]:
     frame, once = onnx.read_bytes(), onnx.with_suffix(".sensor.onnx").read_bytes()
     if fitted is None:
         return frame, once
+    # Weights are numbers end to end: of another layout, they would run and mean nothing.
     if fitted.layout != layout_of(frame, once):
         raise ValueError(f"fitted to another layout than that of {onnx.name}")
+    # A calibration holds one array: those of every frame first, then those of once.
     frames = len(values_of(frame))
     return with_values(frame, fitted.weights[:frames]), with_values(once, fitted.weights[frames:])
 
@@ -107,6 +111,8 @@ def in_integers(onnx: Path, frame: bytes) -> bytes:
     """Put the weights of a per-frame network into its integer graph, if it has one
     (tools/training/integer.py).
     """
+    # It has no weights of its own and rounds those that it receives when it loads, so fits and
+    # calibrations know floats alone (docs/explanation/numerics.md).
     graph = onnx.with_suffix(".integer.onnx")
     return with_weights_of(graph.read_bytes(), frame) if graph.exists() else frame
 
@@ -178,7 +184,10 @@ def _touch_file(onnx: Path) -> Path:
 
 def runtime() -> Any:
     """Import ONNX Runtime on demand: `paper` does without its 20 MB."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # the library reads it once, when it loads
+    # From 1.29 on, the wheels send reports and write to ~/.cache otherwise. The library reads it
+    # once, when it loads. (1.24 to 1.26 leak with every frame on processors with SME2:
+    # docs/decisions/0005-onnxruntime.md.)
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
     import onnxruntime
 
     return onnxruntime
@@ -188,8 +197,10 @@ def _session(model: bytes) -> InferenceSession:
     onnxruntime = runtime()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.enable_cpu_mem_arena = False  # it keeps 2 MB and saves no time
-    options.log_severity_level = 3  # it warns about unknown processors
+    # The arena keeps 2 MB and saves no time.
+    options.enable_cpu_mem_arena = False
+    # Below errors, it warns about every processor that it does not know.
+    options.log_severity_level = 3
     session: InferenceSession = onnxruntime.InferenceSession(
         model, options, providers=["CPUExecutionProvider"]
     )
@@ -203,6 +214,7 @@ def load_networks() -> dict[str, Network]:
     }
 
 
+# Written before the supervisor forks: the forks share the pages of what none of them changes.
 _for_all: dict[str, Network] = {}
 
 
@@ -219,9 +231,8 @@ def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstruc
     """
     made = _without_names(calibration, profile)
     if known := calibration.known.get(profile.name):
-        from tacshade_edge.sensor.inference.object_names import (
-            make_namer,  # only where something is taught
-        )
+        # Only where something is taught.
+        from tacshade_edge.sensor.inference.object_names import make_namer
 
         made.namer = make_namer(known, made.rays, calibration.geometry)
     return made
@@ -281,6 +292,7 @@ def learn_touch(
     left_out, known, groups, imprints, parts = [], [], [], [], []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
+        # A refused frame has no features: the observer was not called.
         if made is None or len(taken) == len(names):
             left_out.append(f"{frame.name}: {made and made.reason}")
             continue
@@ -288,6 +300,7 @@ def learn_touch(
         imprints.append(imprint_of(made.objects, made.volume_mm3) if made.contact else NO_IMPRINT)
         parts.append(reconstructor.changed_part)
         known.append(frame.known)
+        # A group of its own, by a name that no table can hold.
         groups.append(frame.group or f"\0{len(names)}")
     labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(
         -1, len(QUANTITIES)
@@ -295,6 +308,7 @@ def learn_touch(
     counts = np.isfinite(labels).sum(axis=0)
     numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
     presses = np.array([len(np.unique(numbers[np.isfinite(column)])) for column in labels.T])
+    # A label that is the same in all rows teaches nothing.
     varied = np.array([len(np.unique(column[np.isfinite(column)])) > 1 for column in labels.T])
     enough = (counts >= LEAST_ROWS) & (presses >= LEAST_GROUPS) & varied
     used = np.flatnonzero(enough)
@@ -312,13 +326,10 @@ def learn_touch(
     return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
 
 
-UNITS = {
-    "mm": "mm",
-    "deg": "°",
-    "n": "N",
-    "nmm": "N mm",
-}  # symbol of the unit at the end of a quantity's name
-SHOWN = 5  # greatest number of rows that a line names
+# Symbol of the unit at the end of a quantity's name.
+UNITS = {"mm": "mm", "deg": "°", "n": "N", "nmm": "N mm"}
+# Greatest number of rows that a line names.
+SHOWN = 5
 
 
 def report_lines(result: TouchResult) -> Sequence[str]:

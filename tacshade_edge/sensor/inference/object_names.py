@@ -39,6 +39,7 @@ def make_recogniser(known: Sequence[KnownObject]) -> Recogniser:
 
 def make_namer(known: Sequence[KnownObject], rays: DiscRays, geometry: Geometry) -> Namer:
     """Make what names the objects of a profile's frames, on the grid of its height maps."""
+    # A description holds the skin's radius, which is infinite for a pad.
     return partial(_named, make_recogniser(known), rays, with_finite_radius(geometry))
 
 

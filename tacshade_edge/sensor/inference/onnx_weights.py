@@ -20,6 +20,8 @@ from tacshade_edge.types import F32
 
 # Field numbers of ModelProto, GraphProto, TensorProto, NodeProto and AttributeProto; a data type;
 # wire types.
+# https://protobuf.dev/programming-guides/encoding
+# https://github.com/onnx/onnx/blob/main/onnx/onnx.proto
 _GRAPH = 7
 _NODE, _INITIALIZER = 1, 5
 _DIMS, _DATA_TYPE, _NAME, _RAW_DATA = 1, 2, 8, 9
@@ -78,6 +80,7 @@ def fields(data: bytes, begin: int, end: int) -> dict[int, list[Field]]:
             raise ValueError(f"wire type {kind} at byte {begin}")
         if after > end:
             raise ValueError(f"the field at byte {begin} goes beyond its message")
+        # The key holds the field's number above three bits of wire type.
         found[key >> 3].append(Field(value, begin, after))
         begin = after
     return found
@@ -108,6 +111,7 @@ def layout_of(*files: bytes) -> str:
         blank = bytearray(data)
         for weight in weights_of(data):
             blank[weight.begin : weight.end] = bytes(weight.end - weight.begin)
+        # The graph alone: the exporter writes its own version before it.
         digest.update(blank[graph.begin : graph.end])
     return digest.hexdigest()
 
@@ -146,6 +150,7 @@ def joined(graph: bytes, more: bytes) -> bytes:
     """A network with more fields in its graph: Protocol Buffers concatenates the lists
     of a repeated message.
     """
+    # The same message twice is read as one, their lists end to end.
     return graph + message(_GRAPH, more)
 
 
@@ -176,6 +181,8 @@ def _weight(data: bytes, tensor: Field) -> Weight:
         _one(parts, _RAW_DATA),
         tuple(d.value for d in parts[_DIMS]),
     )
+    # ONNX knows other places for values (`float_data`, external files); our exporters write this
+    # one, and anything else would be read as noise.
     if _one(parts, _DATA_TYPE).value != _FLOAT or 4 * math.prod(shape) != raw.end - raw.begin:
         raise ValueError(f"weight {name}: expected raw float32")
     return Weight(name, shape, raw.begin, raw.end)

@@ -47,8 +47,10 @@ def learn_rest(
     }
     taken: dict[str, list[Evidence]] = {name: [] for name in makers}
     moved: dict[str, list[list[Evidence]]] = {name: [[] for _ in range(WAYS)] for name in makers}
+    # A dictionary keeps the order, and a line once: every profile refuses a black image.
     left_out: dict[str, None] = {}
     for at, (name, image) in enumerate(images):
+        # Each image one way: all four of each would take more than twice as long.
         shifted = moved_by_a_pixel(image, at % WAYS)
         for profile, made in makers.items():
             found, drifted = made.evidence(image), made.evidence(shifted)

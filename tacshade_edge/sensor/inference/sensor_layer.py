@@ -31,9 +31,12 @@ def sensor_layer(data: bytes, known: F32) -> F32:
     channels, _, size, _ = weight.shape
     pad = size // 2
     rows, cols = known.shape[1:]
+    # By powers of two, which change no digit but the point's place.
     around = np.pad(_whole(known, KNOWN_BITS), ((0, 0), (pad, pad), (pad, pad)))
     steps = _whole(weight, WEIGHT_BITS)
     sums = np.repeat(_whole(bias, KNOWN_BITS + WEIGHT_BITS)[:, None], rows * cols, axis=1)
+    # A product of matrices for each place of the kernel. BLAS may add in any order: the sums are
+    # exact.
     for row, col in np.ndindex(size, size):
         moved = around[:, row : row + rows, col : col + cols]
         sums += steps[:, :, row, col] @ moved.reshape(len(known), -1)

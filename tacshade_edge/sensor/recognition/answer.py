@@ -33,7 +33,10 @@ def scores(between: F32, taught: F64, counts: F64, seen: F64, touches: int = 1) 
     A score is the logarithm of how much likelier they show that object than any other.
     """
     counts = counts[:, None]
+    # Where the object is expected after n touches: at their mean, drawn towards 0, the mean of all
+    # objects, the more the fewer they were.
     own = taught * (between / (between + 1 / counts))
+    # What is then left of the object's own variance, and the variance of the mean that is seen.
     variance = between / (between * counts + 1) + 1 / touches
     another = between + 1 / touches
     near = ((seen[:, None] - own) ** 2 / variance + np.log(variance)).sum(axis=-1)
@@ -60,9 +63,12 @@ class Recogniser:
         )[0]
         best = int(np.argmax(found))
         expected = self._expected[best]
+        # Conformal: of a known object's touches, at most this part score so low with their own
+        # object, whatever the scores' distribution.
         below = np.searchsorted(expected, found[best], side="right")
         if (1 + below) / (1 + len(expected)) <= UNKNOWN_PART:
             return UNKNOWN
+        # Relative to the best, so that no exponential overflows. Any other object has the score 0.
         weights = np.exp(self._metric.trust * (found - found[best]))
         other = np.exp(-self._metric.trust * found[best])
         return Answer(self.names[best], float(1 / (weights.sum() + other)))

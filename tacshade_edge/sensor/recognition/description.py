@@ -31,15 +31,12 @@ ORDERS = 7  # of the harmonics on a ring, from 0
 DIRECTIONS = 8  # number of the harmonics of directions, from 1
 LEAST_CELLS = 6  # fewer have no form
 LOWEST_PART = 0.05  # of the contact's cells, which lie below what counts as its lowest point
-SMOOTHING_MM, LEAST_SMOOTHING = (
-    0.35,
-    0.5,
-)  # of heights before they are differentiated; least in cells
+# Of heights before they are differentiated; least in cells.
+SMOOTHING_MM, LEAST_SMOOTHING = 0.35, 0.5
 OUTLINE_SMOOTHING_MM, LEAST_OUTLINE_SMOOTHING = 0.5, 0.7
+# Classes of slope and curvature, closer where most contacts have theirs.
 _SLOPES = np.array((0.0, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5), np.float32)
-_BENDS_PER_MM = np.array(
-    (-0.4, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.4, 0.8), np.float32
-)  # classes of slope and curvature
+_BENDS_PER_MM = np.array((-0.4, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.4, 0.8), np.float32)
 _NEAR = 0.05  # of the smoothed contact: bends farther outside are the free skin's
 _SOBEL = 1 / 8  # makes OpenCV's sum a derivative per cell
 _NOTHING = 1e-6
@@ -75,6 +72,7 @@ def describe(height_mm: F32, touched: Bool, rays: DiscRays, geometry: Geometry) 
             (depth, fullness, math.hypot(x0, y0), lowest, geometry.skin_radius_mm),
         )
     )
+    # Signed roots: otherwise a few great numbers outweigh all others in the metric.
     return np.asarray(np.sign(numbers) * np.sqrt(np.abs(numbers)), np.float32)
 
 
@@ -122,11 +120,15 @@ def _on_rings(dx: F32, dy: F32, fields: F32) -> F32:
     waves = np.ones((2 * ORDERS - 1, len(near)), np.float32)
     _powers(dx.take(near), dy.take(near), waves[1:ORDERS], waves[ORDERS:])
     rings = np.arange(RINGS, dtype=np.float32)[:, None]
+    # A cell counts for the two rings beside it, more for the nearer one: as a contact grows, no
+    # number jumps.
     hats = np.maximum(0, 1 - np.abs(radius.take(near) / np.float32(RING_MM) - rings))
     values = fields[:, None, near] * hats
     sums = (values.reshape(-1, len(near)) @ waves.T).reshape(len(fields), RINGS, -1)
+    # The magnitudes, because a turn about z changes only the phases. Order 0 has no sine.
     made = np.abs(sums[..., :ORDERS])
     made[..., 1:] = np.hypot(sums[..., 1:ORDERS], sums[..., ORDERS:])
+    # The middle ring is a disc: under its hat lies a sixth of 2π RING_MM².
     areas = 2 * math.pi * RING_MM**2 * np.maximum(rings, 1 / 6)
     return np.asarray((made / areas).ravel())
 
@@ -139,6 +141,8 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
     smooth = cv2.GaussianBlur(z, (0, 0), max(SMOOTHING_MM / side, LEAST_SMOOTHING))
     z_x, z_y = _gradient(smooth, side)
     (xx, xy), yy = _gradient(z_x, side), _gradient(z_y, side)[1]
+    # Eigenvalues of the second derivatives are mean ± apart: the principal curvatures, as far as
+    # slopes are small.
     mean, apart = _half(xx + yy), _length(_half(xx - yy), xy)
     slope = _length(z_x, z_y)
     share = weight[own] / weight[own].sum()
@@ -151,6 +155,7 @@ def _local(z: F32, own: Bool, weight: F32, geometry: Geometry) -> F64:
     touched = cv2.GaussianBlur(own.astype(np.float32), (0, 0), blur)
     o_x, o_y = _gradient(touched, side)
     outline = _length(o_x, o_y)
+    # A free dome bends by 1 / r by itself; what exceeds twice that is an edge of the object.
     bend = np.maximum(mean + apart - np.float32(2 / geometry.skin_radius_mm), 0) * (touched > _NEAR)
     sides = _directions(o_x, o_y, np.stack((outline, outline * bend)))
     slopes = _directions(z_x, z_y, np.stack((bend * weight, slope * own * weight)))
@@ -241,7 +246,8 @@ def _quadric(dx: F32, dy: F32, rise: F32, weight: F32) -> tuple[float, ...]:
     weighted = terms * weight
     normal, right = (weighted @ terms.T).astype(np.float64), (weighted @ rise).astype(np.float64)
     total = float(weight.sum())
-    normal += np.diag((1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0)) * total  # few cells show no curvature
+    # A ridge, as few cells show no curvature; the small system in float64, the long sums above not.
+    normal += np.diag((1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0)) * total
     found = np.linalg.solve(normal, right)
     plane = np.linalg.solve(normal[:3, :3], right[:3])
     left = (rise - found.astype(np.float32) @ terms, rise - plane.astype(np.float32) @ terms[:3])
@@ -259,6 +265,7 @@ def _outline(own: Bool) -> tuple[float, ...]:
     outer = [c for c, hole in zip(contours, is_hole, strict=True) if not hole]
     cells = float(np.count_nonzero(own))
     hull = cv2.convexHull(np.concatenate(outer))
+    # Pick's theorem, as in `parting`: a contour runs through the middles of its cells.
     hull_cells = max(cv2.contourArea(hull) + cv2.arcLength(hull, closed=True) / 2 + 1, cells)
     hollow = sum(_areas(c for c, hole in zip(contours, is_hole, strict=True) if hole))
     length = sum(cv2.arcLength(c, closed=True) for c in outer)

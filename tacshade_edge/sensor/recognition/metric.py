@@ -15,9 +15,9 @@ from tacshade_edge.types import F32, I64, frozen
 
 CLIP = 5.0  # limit of a standardised number; more carries no information
 SHRINKAGE = 0.15  # of the scatter within objects towards a multiple of the identity
-LEAST_BETWEEN = (
-    0.05  # variance between objects along an axis, relative to touches of one; less is left out
-)
+# Variance between objects along an axis, relative to that of touches of one. Less is left out: such
+# an axis says little, and costs as much as any.
+LEAST_BETWEEN = 0.05
 
 
 @frozen
@@ -59,10 +59,14 @@ def learn_metric(descriptions: F32, objects: I64) -> Metric:
     means /= counts[:, None]
     off = standard - means[which]
     within = off.T @ off / (len(off) - len(counts))
+    # The means scatter as objects do, and by what n touches leave of their own scatter: 1 / n.
     between = np.cov(means.T) - within * float(np.mean(1 / counts))
+    # Few objects show few directions: without shrinkage, one in which their touches happen to agree
+    # would decide alone.
     own = within + SHRINKAGE * np.trace(within) / len(within) * np.eye(len(within))
     unit = np.linalg.inv(np.linalg.cholesky(own))
     variance, turn = np.linalg.eigh(unit @ between @ unit.T)
+    # `eigh` sorts upwards; the axis that tells most comes first.
     axes, variance = (unit.T @ turn)[:, ::-1], variance[::-1]
     kept = int(np.count_nonzero(variance > LEAST_BETWEEN))
     axes = axes[:, :kept]

@@ -35,11 +35,13 @@ def name_objects(
         return (replace(objects[0], name=whole.name, probability=whole.probability),)
     rows, cols = height.height_mm.shape
     grid = Grid(rows, cols, height.row0, height.col0, height.step_px)
+    # A result has no image of labels: where each object lies follows from its points.
     labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, geometry)
     answers = [
         _answer(recogniser, _described(height, labels == each.label, rays, geometry))
         for each in objects[:NAMED_MAX]
     ]
+    # A brick is more surely a brick than each of its studs is anything.
     surest = max(one.probability or 0.0 for one in answers)
     if (whole.probability or 0.0) > surest:
         answers = [whole] * len(objects)

@@ -53,6 +53,7 @@ def judged(
 ) -> tuple[Limits, list[Solved]]:
     """Limits for frames like the table's, and the second fit with the values of held-out folds."""
     whole = len(table.features) <= FOLDED_ROWS
+    # By groups, so that no press lies on both sides of a fold.
     fold = np.unique(table.groups, return_inverse=True)[1] % FOLDS
     found: list[tuple[F64, F64]] = []
     answers = [np.full((2, len(table.features)), np.nan) for _ in second.solved]

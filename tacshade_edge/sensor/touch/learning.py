@@ -221,7 +221,9 @@ def _imprint_fit(imprints: F64, values: F64, groups: I64) -> _ImprintFit:
     ]
     off = np.concatenate(held, axis=1)
     weights = turned @ (inverse * at) * deviation
+    # The first term is the constant 1.
     weights[0] += mean
+    # Divided by the numbers of an imprint, so that a distance of 1 is usual for any.
     covariance = off.T @ off / len(off) + LEAST_DEVIATION * np.eye(off.shape[1])
     precision = np.linalg.inv(covariance) / off.shape[1]
     distances = ((off @ precision) * off).sum(axis=1)

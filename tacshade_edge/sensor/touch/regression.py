@@ -102,6 +102,7 @@ def metric_of(fit: BasisFit, at: F64, labels: F64) -> F64:
     for q, one in enumerate(fit.solved):
         weights = basis.matrix @ one.weights
         pull = near * weights[size:]
+        # The gradient of the answer: of the squared-exponential part, and of the linear one.
         slopes = (
             pull @ basis.centres - pull.sum(axis=1)[:, None] * at
         ) / basis.width**2 + LINEAR * weights[:size]
@@ -125,12 +126,14 @@ def basis_of(at: F64, width: float) -> Basis:
     centres = at[np.linspace(0, len(at) - 1, min(CENTRES, len(at))).astype(np.int64)]
     parts = at.shape[1]
     power, turned = np.linalg.eigh(kernel(centres, centres, width)[:, parts:])
+    # What is less is rounding, and would have the greatest weight by the inverse root below.
     keep = power > 1e-6 * power[-1]
     # The centres' functions with the weights of a Gaussian process: K_zz^(-1/2).
     matrix = np.zeros((parts + len(centres), parts + int(keep.sum())))
     matrix[:parts, :parts] = np.eye(parts)
     matrix[parts:, parts:] = turned[:, keep] / np.sqrt(power[keep])
     values = kernel(at, centres, width) @ matrix
+    # Turned so that the functions are uncorrelated over the table, upwards: the last vary most.
     powers, turned = np.linalg.eigh(values.T @ values)
     values = values @ turned
     return Basis(
@@ -141,6 +144,7 @@ def basis_of(at: F64, width: float) -> Basis:
 def solve(basis: Basis, labels: F64, groups: I64, ridge: float | None = None) -> Solved:
     """Solve for labels (n,) by least squares, without a ridge with that of least held-out error."""
     rows = np.flatnonzero(np.isfinite(labels))
+    # Over some of the rows the functions are correlated again.
     some = len(rows) < len(basis.values)
     values, power = basis.values[rows], basis.power
     if some:
@@ -184,6 +188,8 @@ def held_out(
     for rows in np.split(order, starts[1:]):
         if len(rows) > 1:
             hat = (values[rows] * inverse.T[:, None]) @ values[rows].T + 1 / len(values)
+            # (I - H_gg)⁻¹. A little more than I: a group that decides its own fit leaves nothing to
+            # invert.
             without = np.linalg.inv(np.eye(len(rows)) * (1 + 1e-6) - hat)
             held[rows] = np.einsum("rij,jr->ir", without, residuals[rows])
             variances[rows] = np.maximum(np.einsum("rij,rji->ir", hat, without), 0)

@@ -22,16 +22,21 @@ import numpy as np
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import F32, F64, Touch, TouchedObject, TouchModel
 
-CLIP = 6.0  # limit of a standardised feature; more carries no information
-LINEAR = 0.5  # square root of the linear kernel's weight relative to the squared-exponential one
-RATIOS = 0.4  # factor on the ratios of components to the press, relative to the components
-PRESS_COMPONENTS = 4  # components whose distance from the untouched skin's is the press
-LEAST_PRESS = 0.25  # added to it in quadrature: the components' noise is no ratio
-LEVERAGE_COMPONENTS = 64  # components used for the leverage; more are noise of few frames
+# Limit of a standardised feature; more carries no information.
+CLIP = 6.0
+# Square root of the linear kernel's weight relative to the squared-exponential one.
+LINEAR = 0.5
+# Factor on the ratios of components to the press, relative to the components.
+RATIOS = 0.4
+# Components whose distance from the untouched skin's is the press, and what is added to it in
+# quadrature: the components' noise is no ratio.
+PRESS_COMPONENTS, LEAST_PRESS = 4, 0.25
+# Components used for the leverage; more are noise of few frames.
+LEVERAGE_COMPONENTS = 64
+# A value this many standard deviations beyond the labelled range is an extrapolation: the end of
+# the 90 % interval.
+MARGIN = 1.645
 Floats = TypeVar("Floats", F32, F64)
-MARGIN = (
-    1.645  # A value this many standard deviations beyond the labelled range is an extrapolation
-)
 
 PLAIN = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
 """Names of the quantities that need no labels."""
@@ -60,6 +65,7 @@ def terms(values: F64, low: F32, high: F32) -> F64:
     """1, the quantities (n, Q) relative to the labelled range, and all their pairwise products:
     (n, T).
     """
+    # Relative to the range, so that one ridge suits millimetres, degrees and newtons.
     half = np.where(high > low, (high - low) / 2, 1)
     parts = (values - (low + high) / 2) / half
     once = np.tri(parts.shape[1], dtype=bool).T  # row by row
@@ -83,11 +89,13 @@ def predict(model: TouchModel, features: F32) -> tuple[F64, F64, bool]:
     """
     standard = scaled(features, model.mean, model.deviation)
     parts = standard @ model.components
+    # Older models have no ratios in their metric: only its rows count.
     at = coordinates(parts[None], model.origin)[:, : len(model.metric)] @ model.metric
     near = kernel(at, model.centres, model.width)[0]
     mean = model.offset + near @ model.weights
     values = near @ model.basis
     spread = 1 + (values * values) @ model.precision + unreached(at, values[None]) / model.ridge
+    # Two ways to be unlike: far away among the components, or outside of all of them.
     alike = leverage(parts[None], model.spread)[0] <= model.leverage_max
     alike = alike and residual(standard[None], parts[None], model.scale)[0] <= model.residual_max
     return mean.astype(np.float64), (model.noise * np.sqrt(spread)).astype(np.float64), bool(alike)
@@ -112,7 +120,9 @@ def kernel(at: Floats, centres: Floats, width: float) -> Floats:
     """The weighted coordinates (n, m) and their squared-exponential kernel with each centre, (n,
     m + M).
     """
-    ones = np.ones(at.shape[1], at.dtype)  # a product sums faster than `sum`
+    # A product sums faster than `sum`.
+    ones = np.ones(at.shape[1], at.dtype)
+    # |a - b|² = a² + b² - 2ab as one product of matrices; rounding may leave it below 0.
     squares = ((at * at) @ ones)[:, None] + (centres * centres) @ ones - 2 * (at @ centres.T)
     near = np.exp(np.maximum(squares, 0) * (-0.5 / width**2))
     return np.concatenate((at * at.dtype.type(LINEAR), near), axis=1)
@@ -129,6 +139,7 @@ def residual(standard: Floats, at: Floats, scale: float) -> Floats:
     """The part of each frame's squared standardised features that its coordinates leave out, (n,),
     0 to 1.
     """
+    # Pythagoras: the components are orthonormal but for the scale. Rounding may leave less than 0.
     left = 1 - scale**2 * (at * at).sum(axis=1) / np.maximum(
         (standard * standard).sum(axis=1), 1e-12
     )
@@ -186,6 +197,8 @@ def touch_without_labels(
     """
     first = objects[0]
     x, y, z = first.normal
+    # The normal of a skin turned about x, then about y; rounding may take a part of a unit vector
+    # beyond 1.
     tilt_x_deg, tilt_y_deg = (
         -math.degrees(math.asin(max(-1.0, min(1.0, y)))),
         math.degrees(math.atan2(x, z)),
