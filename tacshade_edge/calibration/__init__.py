@@ -5,7 +5,7 @@ In: images, SENSOR.yaml, PRESSES.csv, LABELS.csv, INDENTERS.yaml. Out: a `Calibr
 Threads: none.
 Other rooms use: `calibrate`, `files.calibration_file`, `files.capture_folder`,
     `files.indenter_file`, `files.labels`, `files.objects_file`, `files.press_table`,
-    `files.reference_file`, `files.sensor_file`, `indenters`, `inputs`, `loading`, `press_machine`,
-    `presses.press_check`, `presses.press_selection`, `quality`, `reference.pattern`,
-    `reference.references`, `refit`.
+    `files.reference_file`, `files.sensor_file`, `findings`, `indenters`, `inputs`, `loading`,
+    `press_machine`, `presses.press_check`, `presses.press_selection`, `quality`,
+    `reference.pattern`, `reference.references`, `refit`, `sentences`.
 """

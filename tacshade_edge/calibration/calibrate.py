@@ -9,10 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.inputs import Inputs, KnownPress, StatedSensor
 from tacshade_edge.calibration.observation import position_mae_mm
 from tacshade_edge.calibration.paper_scale import with_paper_scale
-from tacshade_edge.calibration.presses.press_selection import agreement_mae_mm, select_presses
+from tacshade_edge.calibration.presses.press_selection import (
+    Selection,
+    agreement_mae_mm,
+    select_presses,
+)
 from tacshade_edge.calibration.presses.table_check import zero_hint
 from tacshade_edge.calibration.quality import (
     AGREEMENT_FAIR_MM,
@@ -31,7 +36,7 @@ from tacshade_edge.calibration.reference.references import (
     shown_polarity,
     with_reference,
 )
-from tacshade_edge.calibration.refit import refit_profile
+from tacshade_edge.calibration.refit import Refit, refit_profile
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.depth import Network
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
@@ -53,7 +58,7 @@ class CalibrationResult:
     """A calibration, warnings for the user, its quality, and the presses that were used."""
 
     calibration: Calibration
-    warnings: tuple[str, ...]
+    warnings: tuple[CalibrationFinding, ...]
     quality: Quality
     presses: tuple[KnownPress, ...] = ()
 
@@ -62,6 +67,7 @@ def calibrate(
     sensor: StatedSensor,
     references: Sequence[U8],
     presses: Sequence[KnownPress] = (),
+    *,
     allow_loaded_reference: bool = False,
     networks: Mapping[str, Network] | None = None,
     reference_names: Sequence[str] = (),
@@ -69,86 +75,99 @@ def calibrate(
     """Fit all that images show of a sensor from at least one image of the unloaded skin and any
     presses. `networks`: those of the profiles to refit.
 
-    Raises ConfigError if that cannot give a calibration.
+    Raises ConfigError if that cannot give a calibration; FindingError if findings are why.
     """
     greys = [greyscale.to_grey(image) for image in references]
     unloaded = _unloaded(sensor, greys)
-    warnings = check_references(unloaded, greys, allow_loaded_reference, reference_names)
-    judge = pattern.stated_warning if sensor.visible_circle else pattern.rim_warning
-    if unsure := judge(unloaded.reference_grey, unloaded.geometry.disc):
+    warnings = check_references(
+        unloaded, greys, reference_names, allow_loaded=allow_loaded_reference
+    )
+    doubt = pattern.stated_circle_doubt if sensor.visible_circle else pattern.found_circle_doubt
+    if unsure := doubt(unloaded.reference_grey, unloaded.geometry.disc):
         warnings = (unsure, *warnings)
-    warnings += _fine_pattern(unloaded.pitch_px)
+    if unloaded.pitch_px < FINE_PITCH_PX:
+        found = unloaded.pitch_px
+        fine = finding(FindingCode.FINE_PATTERN, found_px=found, expected_px=FINE_PITCH_PX)
+        warnings += (fine,)
+    # Places decide about the polarity better than a reference does.
     if sensor.polarity and not any(press.x_mm is not None for press in presses):
         warnings += _doubted_polarity(sensor.polarity, shown_polarity(unloaded))
     if not presses:
         return CalibrationResult(unloaded, warnings, UNCALIBRATED)
-    networks, geometry = networks or {}, unloaded.geometry
+    networks = networks or {}
     selection = select_presses(
         unloaded, presses, networks.get(GRADED_PROFILE), polarity_stated=bool(sensor.polarity)
     )
-    fitted = with_paper_scale(replace(unloaded, polarity=selection.polarity), selection.presses)
-    made = {
-        name: refit_profile(
-            fitted,
-            PROFILES[name],
-            each,
-            selection.presses,
-            selection.answers if name == GRADED_PROFILE else (),
-        )
-        for name, each in networks.items()
-    }
-    refits = {name: refit for name, refit in made.items() if refit}
+    made = _fitted(unloaded, selection, networks)
+    return replace(made, warnings=warnings + made.warnings)
+
+
+def _doubted_polarity(stated: Polarity, likely: Polarity) -> tuple[CalibrationFinding, ...]:
+    """That the reference shows another polarity than stated, if so."""
+    if stated == likely:
+        return ()
+    code = FindingCode.WHITE_PINS if likely == "dark" else FindingCode.NO_WHITE_PINS
+    return (finding(code, found=stated, expected=likely),)
+
+
+def _fitted(
+    unloaded: Calibration, selection: Selection, networks: Mapping[str, Network]
+) -> CalibrationResult:
+    """The calibration that the selected presses give, with the warnings that are due to them."""
+    geometry = unloaded.geometry
+    scaled = with_paper_scale(replace(unloaded, polarity=selection.polarity), selection.presses)
+    refits = _refits(scaled, selection, networks)
     fit = Fit(
         presses=len(selection.presses),
         agreement_mae_mm=agreement_mae_mm(selection.observations, geometry),
         position_mae_mm=position_mae_mm(selection.observations),
         profiles={name: refit.fit for name, refit in refits.items()},
     )
-    fitted = replace(
-        fitted,
+    scales = {name: refit.error_scale for name, refit in refits.items()}
+    calibration = replace(
+        scaled,
         fit=fit,
         factors={name: refit.factor for name, refit in refits.items()},
-        error_scales={
-            name: refit.error_scale
-            for name, refit in refits.items()
-            if refit.error_scale is not None
-        },
+        error_scales={name: scale for name, scale in scales.items() if scale is not None},
     )
-    warnings += selection.warnings
     graded = refits.get(GRADED_PROFILE)
+    warnings = selection.warnings
     if graded:
-        if hint := zero_hint(graded.found_mm, graded.placed, geometry):
-            warnings += (hint,)
-        warnings += graded.warnings
-        if graded.error_scale is not None and graded.error_scale > UNUSUAL_ERRORS:
-            words = (
-                f"off {graded.error_scale:.1f} times as much as on sensors that the networks know"
-            )
-            # A fit to labels that contradict each other learns their errors.
-            is_exact = not (
-                hint or selection.wrong_keys
-            ) and fit.agreement_mae_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
-            advice = "; --fit may help" if is_exact else ""
-            warnings += (f"heights are {words}, and their intervals are that much wider{advice}",)
+        warnings += _graded_doubts(graded, selection, fit.agreement_mae_mm, geometry)
     missing = missing_coverage(selection.observations, geometry)
     quality = assess(fit, geometry, missing, graded.errors_mm if graded else ())
-    return CalibrationResult(fitted, warnings, quality, selection.presses)
+    return CalibrationResult(calibration, warnings, quality, selection.presses)
 
 
-def _fine_pattern(pitch_px: float) -> tuple[str, ...]:
-    """A warning if the image is too small for its marker pattern."""
-    if pitch_px >= FINE_PITCH_PX:
-        return ()
-    found = f"found a pitch of {pitch_px:.1f} px, expected at least {FINE_PITCH_PX:g}"
-    why = "heights may be off up to twice as much; take larger images (source.width_px)"
-    return (f"markers: {found}: {why}",)
+def _refits(
+    calibration: Calibration, selection: Selection, networks: Mapping[str, Network]
+) -> dict[str, Refit]:
+    """The profiles whose networks find enough of the presses, refitted to them."""
+    refits = {}
+    for name, network in networks.items():
+        # Selecting the presses has already asked the graded profile's network.
+        answers = selection.answers if name == GRADED_PROFILE else ()
+        refit = refit_profile(calibration, PROFILES[name], network, selection.presses, answers)
+        if refit:
+            refits[name] = refit
+    return refits
 
 
-def _doubted_polarity(stated: Polarity, likely: Polarity) -> tuple[str, ...]:
-    """A warning if the reference shows another polarity than stated."""
-    pins = "white pins on black, as of a TacTip" if likely == "dark" else "no white pins on black"
-    shown = f"polarity: found {stated}, expected {likely}: the reference shows {pins}"
-    return () if stated == likely else (shown,)
+def _graded_doubts(
+    graded: Refit, selection: Selection, agreement_mm: float, geometry: Geometry
+) -> tuple[CalibrationFinding, ...]:
+    """What the refit of the graded profile shows: another zero of the depths, presses of another
+    skin, and errors as on no sensor that the networks know.
+    """
+    zero = zero_hint(graded.found_mm, graded.placed, geometry)
+    doubts = (*([zero] if zero else []), *graded.warnings)
+    if graded.error_scale is None or graded.error_scale <= UNUSUAL_ERRORS:
+        return doubts
+    # A fit to labels that contradict each other learns their errors.
+    agree = agreement_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
+    is_exact = agree and not (zero or selection.wrong_keys)
+    code = FindingCode.FITTABLE_ERRORS if is_exact else FindingCode.UNUSUAL_ERRORS
+    return (*doubts, finding(code, factor=graded.error_scale))
 
 
 def _unloaded(sensor: StatedSensor, greys: Sequence[U8]) -> Calibration:
@@ -210,5 +229,11 @@ def make_again(inputs: Inputs, networks: Mapping[str, Network]) -> Calibration:
     Raises ConfigError if that can no longer use these inputs.
     """
     # The first calibration already warned of a loaded reference, or rejected it.
-    made = calibrate(inputs.sensor, inputs.references, inputs.presses, True, networks).calibration
-    return rezero(made, inputs.renewed, True) if inputs.renewed else made
+    made = calibrate(
+        inputs.sensor,
+        inputs.references,
+        inputs.presses,
+        allow_loaded_reference=True,
+        networks=networks,
+    ).calibration
+    return rezero(made, inputs.renewed, allow_loaded=True) if inputs.renewed else made

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Fit, Geometry
@@ -37,62 +38,61 @@ _AGREEMENT_GOOD_MM, AGREEMENT_FAIR_MM = 0.25, 0.45
 _TO_REPEAT = 3
 
 
-def missing_coverage(presses: Sequence[PressObservation], geometry: Geometry) -> tuple[str, ...]:
-    """A line of advice for each gap in the presses."""
+def missing_coverage(
+    presses: Sequence[PressObservation], geometry: Geometry
+) -> tuple[CalibrationFinding, ...]:
+    """Each gap in the presses."""
     places = np.array([press.place_mm for press in presses])
     depths = np.array([press.depth_mm for press in presses])
     few = len(presses) < _FEW_PRESSES
-    lines = (
-        f"{len(presses)} presses: 20 to 40 make the depth and its error more certain"
-        if few
-        else "",
+    gaps = (
+        finding(FindingCode.MORE_PRESSES, found=len(presses)) if few else None,
         _missing_places(places, geometry),
         _missing_depths(float(depths.min()), float(depths.max()), geometry),
         _missing_sizes(presses, geometry),
     )
-    return tuple(line for line in lines if line)
+    return tuple(gap for gap in gaps if gap)
 
 
-def _missing_places(places: F64, geometry: Geometry) -> str:
+def _missing_places(places: F64, geometry: Geometry) -> CalibrationFinding | None:
     visible_mm = geometry.visible_radius_mm
     middle = places.mean(axis=0)
     rms_mm = math.sqrt(float(((places - middle) ** 2).sum(axis=1).mean()))
-    reach = f"up to {_REACH_RHO * visible_mm:.0f} mm from the middle"
+    reach_mm = _REACH_RHO * visible_mm
     if rms_mm < _LEAST_RMS_RHO * visible_mm:
         x_mm, y_mm = (round(float(v)) for v in middle)
-        return f"the presses lie close together, around x {x_mm}, y {y_mm} mm: add some {reach}"
+        return finding(FindingCode.CLOSE_TOGETHER, x_mm=x_mm, y_mm=y_mm, reach_mm=reach_mm)
     low, high = places.min(axis=0), places.max(axis=0)
     extremes = {"x < 0": -low[0], "x > 0": high[0], "y < 0": -low[1], "y > 0": high[1]}
-    sides = " or ".join(
-        side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm
-    )
-    return f"no press lies at {sides}: add some {reach}" if sides else ""
+    sides = [side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm]
+    return finding(FindingCode.EMPTY_SIDES, sides=sides, reach_mm=reach_mm) if sides else None
 
 
-def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> str:
+def _missing_depths(low_mm: float, high_mm: float, geometry: Geometry) -> CalibrationFinding | None:
     shallow_mm, deep_mm = (part * geometry.size_mm for part in _DEPTHS)
     if high_mm < _DEPTH_RATIO * low_mm:
-        wanted = f"{shallow_mm:.1f} to {deep_mm:.1f} mm"
-        return f"all presses are {low_mm:.1f} to {high_mm:.1f} mm deep: add some from {wanted}"
+        return finding(
+            FindingCode.SAME_DEPTHS,
+            low_mm=low_mm,
+            high_mm=high_mm,
+            shallow_mm=shallow_mm,
+            deep_mm=deep_mm,
+        )
     if high_mm < _LEAST_DEEPEST * geometry.size_mm:
-        return f"no press is deeper than {high_mm:.1f} mm: add some down to {deep_mm:.1f} mm"
-    return ""
+        return finding(FindingCode.SHALLOW, deepest_mm=high_mm, deep_mm=deep_mm)
+    return None
 
 
-def _missing_sizes(presses: Sequence[PressObservation], geometry: Geometry) -> str:
+def _missing_sizes(
+    presses: Sequence[PressObservation], geometry: Geometry
+) -> CalibrationFinding | None:
     indenters = {press.indenter for press in presses}
     radii = [press.radius_mm for press in presses if not press.indenter]
     if len(indenters) > 1 or (radii and max(radii) >= _BALL_RADIUS_RATIO * min(radii)):
-        return ""
+        return None
     low_mm, high_mm = (part * geometry.size_mm for part in _BALL_RADII)
-    used = indenters.pop()
-    if radii:
-        used = (
-            "balls of radius "
-            f"{min(radii):g}{f' to {max(radii):g}' if max(radii) > min(radii) else ''} mm"
-        )
-    wanted = f"balls of {low_mm:.0f} to {high_mm:.0f} mm"
-    return f"all presses use {used}: other sizes and shapes are less certain; add {wanted}"
+    used = (min(radii), max(radii)) if radii else indenters.pop()
+    return finding(FindingCode.SAME_INDENTER, used=used, low_mm=low_mm, high_mm=high_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,23 +102,23 @@ class Quality:
     """
 
     grade: Grade
-    line: str
-    advice: tuple[str, ...]
+    line: CalibrationFinding
+    advice: tuple[CalibrationFinding, ...]
 
 
 UNCALIBRATED = Quality(
     "uncalibrated",
-    (
-        "uncalibrated: depth assumes an average sensor of this kind; only --presses can measure "
-        "its error on this one"
-    ),
-    ("take 20 to 40 presses and pass --presses PRESSES.csv (docs/how-to/calibration.md)",),
+    finding(FindingCode.UNCALIBRATED),
+    (finding(FindingCode.NO_PRESSES),),
 )
 """The quality of a calibration without presses."""
 
 
 def assess(
-    fit: Fit, geometry: Geometry, missing: Sequence[str], errors_mm: Sequence[tuple[str, float]]
+    fit: Fit,
+    geometry: Geometry,
+    missing: Sequence[CalibrationFinding],
+    errors_mm: Sequence[tuple[str, float]],
 ) -> Quality:
     """Grade a fit to presses, given what they do not cover,
     and the depth error of each in the graded profile.
@@ -126,35 +126,30 @@ def assess(
     if GRADED_PROFILE not in fit.profiles:
         return Quality(
             "poor",
-            (
-                "poor: the learned profiles find the contact at the indenter in too few presses "
-                "for a fit"
-            ),
-            ("look at the presses' images, places and depths, and at SENSOR.yaml",),
+            finding(FindingCode.CONTACTS_NOT_FOUND),
+            (finding(FindingCode.LOOK_AT_PRESSES),),
         )
     profile, scale = fit.profiles[GRADED_PROFILE], skin_scale(geometry)
     depth, agreement = profile.depth_mae_mm / scale, fit.agreement_mae_mm / scale
     is_good = depth <= _DEPTH_GOOD_MM and agreement <= _AGREEMENT_GOOD_MM and not missing
     is_fair = depth <= _DEPTH_FAIR_MM and agreement <= AGREEMENT_FAIR_MM
     grade: Grade = "poor" if not is_fair else "good" if is_good else "fair"
-    line = (
-        f"{grade}: depth is within {_rounded_up(profile.depth_mae_mm)} mm of the stated depth on "
-        f"average, {_rounded_up(profile.depth_worst_mm)} mm at worst, on held-out presses (profile "
-        f"{GRADED_PROFILE})"
+    line = finding(
+        FindingCode.DEPTH_WITHIN,
+        grade=grade,
+        mean_mm=_rounded_up(profile.depth_mae_mm),
+        worst_mm=_rounded_up(profile.depth_worst_mm),
+        profile=GRADED_PROFILE,
     )
     advice = list(missing)
     if agreement > _AGREEMENT_GOOD_MM:
-        advice.append(
-            f"the presses agree with each other only within {_rounded_up(fit.agreement_mae_mm)} "
-            "mm: measure their depths and places more exactly"
-        )
+        advice.append(finding(FindingCode.DISAGREEING, mean_mm=_rounded_up(fit.agreement_mae_mm)))
     if depth > _DEPTH_GOOD_MM:
         worst = sorted(errors_mm, key=lambda press: -abs(press[1]))[:_TO_REPEAT]
-        names = ", ".join(f"{name} ({error:.1f} mm off)" for name, error in worst)
-        advice.append(f"repeat these presses, or more like them: {names}")
+        advice.append(finding(FindingCode.REPEAT, worst=worst))
     return Quality(grade, line, tuple(advice))
 
 
-def _rounded_up(value_mm: float) -> str:
-    """Round up to 0.05 mm, because the message says "within"."""
-    return f"{math.ceil(value_mm / 0.05 - 1e-9) * 0.05:.2f}"
+def _rounded_up(value_mm: float) -> float:
+    """Round up to 0.05 mm, because the sentence says "within"."""
+    return math.ceil(value_mm / 0.05 - 1e-9) * 0.05

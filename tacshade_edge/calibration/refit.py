@@ -18,6 +18,7 @@ from itertools import zip_longest
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.indenters import Placed, ball_along, known_height
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.sensor.depth import Network
@@ -165,7 +166,7 @@ class Refit:
     found_mm: tuple[float, ...]  # greatest h without a refit
     placed: tuple[Placed, ...]  # indenters at their stated places
     error_scale: float | None  # factor on σ; None if the network has no model of its errors
-    warnings: tuple[str, ...]
+    warnings: tuple[CalibrationFinding, ...]
 
 
 def refit_profile(
@@ -183,59 +184,86 @@ def refit_profile(
     preprocessor = Preprocessor(calibration, profile)
     solver = LearnedSolver(preprocessor, network)
     inside = rays_in_image(solver.grid, calibration).inside
-    rows, used, parts, warnings = [], [], [], []
-    for press, answer in zip_longest(presses, answers):
-        inverse = answer or solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
-        parts.append(untrusted_part(untrusted_cells(inverse, len(inverse.height_mm)), inside))
-        if parts[-1] > UNTRUSTED_UNLEARNT:
-            warnings.append(
-                f"{press.name}: {100 * parts[-1]:.0f} % of it does not show this sensor's skin; "
-                "left out"
-            )
-            continue
-        at = placed_press(geometry, inverse, press)
-        if at and (row := press_factor(inverse, geometry, at)):
-            rows.append(row)
-            used.append(
-                (press.name, inverse, at, inverse.height_mm[inverse.contact_logit > 0].max())
-            )
+    inverses = [
+        answer or solver.inverse(preprocessor.preprocess(preprocessor.grey(press.image)))
+        for press, answer in zip_longest(presses, answers)
+    ]
+    parts = [
+        untrusted_part(untrusted_cells(each, len(each.height_mm)), inside) for each in inverses
+    ]
+    shown = [
+        _shown(geometry, inverse, press)
+        for press, inverse, part in zip(presses, inverses, parts, strict=True)
+        if part <= UNTRUSTED_UNLEARNT
+    ]
+    used = [press for press in shown if press]
+    rows = [press.row for press in used]
     factor = fit_factor(rows)
     if factor is None:
         return None
-    if (unlike := float(np.median(parts))) > _UNLIKE_PART:
-        explained = f"they do not explain {100 * unlike:.0f} % of the median press"
-        warnings.append(f"unlike the sensors that the networks know: {explained}")
     errors, in_sigma = [], []
-    for k, (_, inverse, at, found) in enumerate(used):
+    for k, press in enumerate(used):
+        # A press must not judge a factor that it helped to fit.
         without = fit_factor(rows[:k] + rows[k + 1 :]) or 1.0
-        errors.append(float(found * np.float32(without)) - at.depth_max_mm(geometry.skin_radius_mm))
+        true_mm = press.placed.depth_max_mm(geometry.skin_radius_mm)
+        errors.append(float(press.found_mm * np.float32(without)) - true_mm)
         if network.sigma is not None:
-            in_sigma.append(_errors_in_sigma(network.sigma, inverse, without, at, inside, geometry))
+            in_sigma.append(_errors_in_sigma(network.sigma, press, without, inside, geometry))
     off = np.abs(errors)
     return Refit(
         factor,
         ProfileFit(len(rows), float(off.mean()), float(off.max())),
-        tuple((name, error) for (name, *_), error in zip(used, errors, strict=True)),
-        tuple(float(found) for *_, found in used),
-        tuple(at for _, _, at, _ in used),
+        tuple((press.name, error) for press, error in zip(used, errors, strict=True)),
+        tuple(float(press.found_mm) for press in used),
+        tuple(press.placed for press in used),
         None if network.sigma is None else error_scale(network.sigma, in_sigma),
-        tuple(warnings),
+        _doubts(presses, parts),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """A press in which the network sees the indenter where it is, and its row of `fit_factor`."""
+
+    name: str
+    inverse: Inverse
+    placed: Placed
+    row: tuple[float, float]
+    found_mm: np.float32  # greatest h, without a factor
+
+
+def _shown(geometry: Geometry, inverse: Inverse, press: KnownPress) -> _Shown | None:
+    placed = placed_press(geometry, inverse, press)
+    row = press_factor(inverse, geometry, placed) if placed else None
+    if placed is None or row is None:
+        return None
+    greatest_mm = inverse.height_mm[inverse.contact_logit > 0].max()
+    return _Shown(press.name, inverse, placed, row, greatest_mm)
+
+
+def _doubts(
+    presses: Sequence[KnownPress], parts: Sequence[float]
+) -> tuple[CalibrationFinding, ...]:
+    """What the parts of the presses that the network does not trust say of them, and of all."""
+    doubts = [
+        finding(FindingCode.OTHER_SKIN, press.name, left_out=True, percent=100 * part)
+        for press, part in zip(presses, parts, strict=True)
+        if part > UNTRUSTED_UNLEARNT
+    ]
+    if (unlike := float(np.median(parts))) > _UNLIKE_PART:
+        doubts.append(finding(FindingCode.UNKNOWN_KIND, percent=100 * unlike))
+    return tuple(doubts)
 
 
 def _errors_in_sigma(
-    model: SigmaModel,
-    inverse: Inverse,
-    factor: float,
-    placed: Placed,
-    inside: Bool,
-    geometry: Geometry,
+    model: SigmaModel, press: _Shown, factor: float, inside: Bool, geometry: Geometry
 ) -> F64:
-    """|error| over σ of scale 1 of a press, at the cells of `press_rows` inside the image."""
+    """|error| over σ of scale 1 of a press, at the cells of `known_cells` inside the image."""
+    inverse = press.inverse
     height = np.where(
         inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0
     )
-    truth, use = known_cells(inverse, geometry, placed)
+    truth, use = known_cells(inverse, geometry, press.placed)
     return errors_in_sigma(
         model,
         height.astype(np.float32),

@@ -18,6 +18,7 @@ from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.calibration.quality import GRADED_PROFILE
 from tacshade_edge.calibration.reference.references import block_means
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
 from tacshade_edge.capture.unlabelled import Unlabelled
@@ -153,7 +154,7 @@ class CaptureSession:
         rest_grey = rest_grey_of([block_means(to_grey(image)) for image in images])
         result = calibrate(self.sensor, images)
         for warning in result.warnings:
-            self.terminal.say(f"  warning: {warning}")
+            self.terminal.say(f"  warning: {sentence(warning)}")
         self.live.rest_grey = rest_grey
         return result.calibration
 
@@ -219,7 +220,7 @@ class CaptureSession:
         if question := self._check.question(
             look, known_press(added.image, image, press.row(), self.names)
         ):
-            self.terminal.say(f"  {question} (undo removes the press)")
+            self.terminal.say(f"  {sentence(question)} (undo removes the press)")
         if self.robot and press is asked and (unknown := self.robot.learn(press.columns, frame)):
             self.terminal.say(f"  cannot find the next place from the robot's poses: {unknown}")
 

@@ -151,7 +151,7 @@ class Unlabelled:
         if not self.live.stands_still(SETTLED_S):
             return "hold still"
         judged = self.judge(np.array(frame.image))
-        unusable = judged.moved or (str(judged.unusable) if judged.unusable else "")
+        unusable = judged.moved or judged.unusable
         return f"not taken: {unusable}" if unusable else ""
 
 

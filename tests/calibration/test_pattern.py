@@ -33,10 +33,10 @@ from tacshade_edge.calibration.reference.pattern import (
     Pattern,
     find_disc,
     find_pattern,
+    found_circle_doubt,
     marker_pitch_px,
     mean_image,
-    rim_warning,
-    stated_warning,
+    stated_circle_doubt,
     view,
     visible_disc,
 )
@@ -416,7 +416,7 @@ def answer(grey: U8, true: Disc) -> tuple[str, float]:
     except ConfigError as refusal:
         numbers = STATED.search(str(refusal))
         return "refused", error(Disc(*map(float, numbers.groups())), true) if numbers else np.nan
-    return "warned" if rim_warning(grey, found) else "found", error(found, true)
+    return "warned" if found_circle_doubt(grey, found) else "found", error(found, true)
 
 
 @pytest.mark.parametrize(
@@ -431,7 +431,7 @@ def answer(grey: U8, true: Disc) -> tuple[str, float]:
 )
 def test_a_stated_circle_without_the_markers_is_doubted(stated: Disc, doubted: bool) -> None:
     for model in (HALF, TACTIP):
-        assert bool(stated_warning(to_grey(references(model)[0]), stated)) == doubted
+        assert bool(stated_circle_doubt(to_grey(references(model)[0]), stated)) == doubted
 
 
 FOUND = {

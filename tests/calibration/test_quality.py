@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from tacshade_edge.calibration.findings import FindingCode, finding
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.calibration.quality import assess, missing_coverage
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.lab.simulator.script import ball_presses
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.types import Disc, Fit, Geometry, ProfileFit
@@ -30,7 +32,7 @@ def fit(depth_mae_mm: float = 0.201, agreement_mae_mm: float = 0.1) -> Fit:
 def test_a_good_one_needs_nothing() -> None:
     quality = assess(fit(), GEOMETRY, (), ERRORS_MM)
     assert (quality.grade, quality.advice) == ("good", ())
-    assert quality.line.startswith(
+    assert sentence(quality.line).startswith(
         "good: depth is within 0.25 mm of the stated depth on average, 0.70 mm at worst, "
     )
 
@@ -55,16 +57,17 @@ def test_a_good_one_needs_nothing() -> None:
 def test_what_is_not_good_has_an_advice(found: Fit, grade: str, advice: str) -> None:
     quality = assess(found, GEOMETRY, (), ERRORS_MM)
     assert quality.grade == grade
-    assert quality.line.startswith(f"{grade}: ")
+    assert sentence(quality.line).startswith(f"{grade}: ")
     (only,) = quality.advice
-    assert advice in only
-    assert "press 9" not in only
+    assert advice in sentence(only)
+    assert "press 9" not in sentence(only)
 
 
 def test_what_is_missing_comes_first() -> None:
-    quality = assess(fit(depth_mae_mm=0.4), GEOMETRY, ("no press lies at x < 0",), ERRORS_MM)
+    gap = finding(FindingCode.MORE_PRESSES, found=9)
+    quality = assess(fit(depth_mae_mm=0.4), GEOMETRY, (gap,), ERRORS_MM)
     assert quality.grade == "fair"
-    assert quality.advice[0] == "no press lies at x < 0"
+    assert quality.advice[0] == gap
     assert len(quality.advice) == 2
 
 
@@ -83,11 +86,11 @@ def test_lengths_scale_with_the_skin(radius_mm: float) -> None:
 def test_presses_in_which_the_networks_saw_nothing_are_not_called_missing() -> None:
     quality = assess(Fit(9, 0.1, 0.5), GEOMETRY, (), ())
     assert quality.grade == "poor"
-    assert "SENSOR.yaml" in quality.advice[0]
+    assert "SENSOR.yaml" in sentence(quality.advice[0])
 
 
 def missing(presses: list[PressObservation]) -> str:
-    return "\n".join(missing_coverage(presses, GEOMETRY))
+    return "\n".join(map(sentence, missing_coverage(presses, GEOMETRY)))
 
 
 def test_presses_spread_over_everything_miss_nothing() -> None:
@@ -123,5 +126,5 @@ def test_a_gap_is_named(
     change: Callable[[int, PressObservation], PressObservation], wanted: str
 ) -> None:
     (found,) = missing_coverage([change(k, o) for k, o in enumerate(PRESSES)], GEOMETRY)
-    assert found.startswith(wanted)
+    assert sentence(found).startswith(wanted)
     assert "12 presses: 20 to 40" in missing(PRESSES[::2])

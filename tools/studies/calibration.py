@@ -28,6 +28,8 @@ from tacshade_edge.calibration.presses.press_check import PressCheck
 from tacshade_edge.calibration.presses.press_selection import outliers
 from tacshade_edge.calibration.quality import GRADED_PROFILE
 from tacshade_edge.calibration.reference.references import rezero
+from tacshade_edge.calibration.sentences import sentence
+from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.parallel import workers
 from tacshade_edge.lab.simulator import camera_faults
@@ -106,7 +108,8 @@ def answer(made: Callable[[], CalibrationResult]) -> str:
         result = made()
     except ConfigError as error:
         return f"refused: {error}"
-    return "\n".join((*result.warnings, result.quality.line, *result.quality.advice))
+    said = (*result.warnings, result.quality.line, *result.quality.advice)
+    return "\n".join(sentence(one, WITH_OPTIONS) for one in said)
 
 
 def shifted(image: U8, px: float) -> U8:
@@ -356,7 +359,10 @@ def measure(task: tuple[int, bool, int]) -> Measured:
             (*wrong_sets(given, rng), *rezeros(given, result)) if detect else ()
         )
     ]
-    alarms = [f"sensor {seed}: {said}" for said in (*result.warnings, *result.quality.advice)]
+    alarms = [
+        f"sensor {seed}: {sentence(said, WITH_OPTIONS)}"
+        for said in (*result.warnings, *result.quality.advice)
+    ]
     return Measured(
         alarms, found, quality, [camera_drift.drift(look, press.image) for press in given.presses]
     )

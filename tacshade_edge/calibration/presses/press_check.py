@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.indenters import ball_along, ball_height_along, known_height
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation, observe_press
@@ -98,8 +99,8 @@ class Judgement:
     """
 
     unusable: Reason | None
-    moved: str = ""
-    changed: str = ""
+    moved: Reason | None = None
+    changed: Reason | None = None
     in_contact: bool = False
 
 
@@ -169,23 +170,18 @@ class PressCheck:
         """What the image and the network show of a press."""
         return self.see(look, self.observe(look.maps, press), press)
 
-    def question(self, look: PressLook, ball: KnownPress) -> str:
-        """A question about the radius of a ball that looks much larger or smaller than stated;
-        empty otherwise.
-        """
+    def question(self, look: PressLook, ball: KnownPress) -> CalibrationFinding | None:
+        """That a ball looks much larger or smaller than stated; None if it does not."""
         seen = self.observation(look, ball)
         larger = seen.ball_factor > _LOOKS[1] and seen.misfit_ratio > _LOOKS_RATIO
         if ball.depth_mm < _LOOKS_DEPTH_MM * skin_scale(self.geometry) or not (
             larger or seen.ball_factor < _LOOKS[0]
         ):
-            return ""
-        asked = (
-            f"is its radius {ball.radius_mm:g} mm?"
-            if larger
-            else f"is {ball.radius_mm:g} mm its diameter?"
-        )
-        return (
-            f"this looks like a ball of about {seen.ball_factor * ball.radius_mm:.0f} mm: {asked}"
+            return None
+        return finding(
+            FindingCode.LOOKS_LARGER if larger else FindingCode.LOOKS_SMALLER,
+            seen_mm=seen.ball_factor * ball.radius_mm,
+            stated_mm=ball.radius_mm,
         )
 
     def judge(self, look: PressLook) -> Judgement:
@@ -195,8 +191,8 @@ class PressCheck:
         drift = camera_drift.drift(self._reference, look.grey)
         shift = camera_drift.shift_reason(drift, self.geometry.disc)
         if shift and camera_drift.shifted_too_far(drift, self.geometry.disc):
-            return Judgement(None, moved=str(shift))
-        changed = str(shift or drift.light_reason or "")
+            return Judgement(None, moved=shift)
+        changed = shift or drift.light_reason
         in_contact = look.changed_part >= self.gate.plain_part or look.inverse is not None
         return Judgement(None, changed=changed, in_contact=in_contact)
 

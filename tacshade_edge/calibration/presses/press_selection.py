@@ -6,24 +6,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacshade_edge.calibration.inputs import Contradiction, ContradictionError, KnownPress
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
+from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import (
     PressObservation,
     first_touch_mm,
     with_stated_place,
 )
-from tacshade_edge.calibration.presses.press_check import PressCheck, PressLook
+from tacshade_edge.calibration.presses.press_check import Judgement, PressCheck, PressLook
 from tacshade_edge.calibration.presses.sensor_check import wrong_keys
 from tacshade_edge.calibration.presses.table_check import (
     gross_mistakes,
     other_polarity,
     polarity_hint,
 )
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.calibration.sentences import FindingError
 from tacshade_edge.sensor.depth import Network
 from tacshade_edge.sensor.depth.learned import Inverse
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
@@ -130,9 +131,11 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
     return np.stack(columns, axis=1)
 
 
-def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
-    """A message for each press, by index, whose place,
-    ball or depth differs from what its image or the others show.
+def outliers(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> dict[int, CalibrationFinding]:
+    """The presses, by index, whose place, ball or depth differs from what their image or the
+    others show.
     """
     reasons = _misplaced(observations, geometry) | _of_another_size(observations, geometry)
     while True:
@@ -148,17 +151,23 @@ def outliers(observations: Sequence[PressObservation], geometry: Geometry) -> di
             break
         for k, error_mm in found.items():
             o = observations[k]
-            by = o.indenter or f"a ball of {o.radius_mm:g} mm"
-            expected = f"expected {o.depth_mm + error_mm:.2f} mm by the other presses with {by}"
-            reasons[k] = f"{o.name}: found a depth of {o.depth_mm:.2f} mm, {expected}"
+            reasons[k] = finding(
+                FindingCode.OTHER_DEPTH,
+                o.name,
+                found_mm=o.depth_mm,
+                expected_mm=o.depth_mm + error_mm,
+                of=o.indenter or o.radius_mm,
+            )
     return dict(sorted(reasons.items()))
 
 
-def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> dict[int, str]:
+def _misplaced(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> dict[int, CalibrationFinding]:
     """Presses much further from their stated places than most."""
     errors = [o.place_error_mm(*o.place_mm) for o in observations]  # 0 if no place is stated
     scale = skin_scale(geometry)
-    reasons: dict[int, str] = {}
+    reasons = dict[int, CalibrationFinding]()
     for is_seen, medians, least_mm in (
         (True, _SEEN_MEDIANS, _SEEN_LEAST_MM),
         (False, _PLACE_MEDIANS, _PLACE_LEAST_MM),
@@ -174,17 +183,20 @@ def _misplaced(observations: Sequence[PressObservation], geometry: Geometry) -> 
             )
             for k in (k for k in alike if errors[k] > limit_mm):
                 o, (x_mm, y_mm) = observations[k], observations[k].place_mm
-                expected = (
-                    f"expected x {o.located_x_mm:.1f}, y {o.located_y_mm:.1f} mm, "
-                    "as the image shows"
+                reasons[k] = finding(
+                    FindingCode.OTHER_PLACE,
+                    o.name,
+                    found_x_mm=x_mm,
+                    found_y_mm=y_mm,
+                    expected_x_mm=o.located_x_mm,
+                    expected_y_mm=o.located_y_mm,
                 )
-                reasons[k] = f"{o.name}: found x {x_mm:.1f}, y {y_mm:.1f} mm, {expected}"
     return reasons
 
 
 def _of_another_size(
     observations: Sequence[PressObservation], geometry: Geometry
-) -> dict[int, str]:
+) -> dict[int, CalibrationFinding]:
     """Balls that look larger or smaller than stated, compared with the median ball."""
     logs = {
         k: math.log(o.ball_factor)
@@ -204,17 +216,19 @@ def _of_another_size(
         o = observations[k]
         is_sure = log < middle or o.misfit_ratio > _LARGER_MISFIT_RATIO
         if abs(log - middle) > limit and o.depth_mm > shallow_mm and is_sure:
-            expected = (
-                f"expected about {math.exp(log - middle) * o.radius_mm:.1f} mm, as the image shows"
+            reasons[k] = finding(
+                FindingCode.SMALLER_BALL if log < middle else FindingCode.LARGER_BALL,
+                o.name,
+                found_mm=o.radius_mm,
+                expected_mm=math.exp(log - middle) * o.radius_mm,
             )
-            asked = f": is {o.radius_mm:g} mm its diameter?" if log < middle else ""
-            reasons[k] = f"{o.name}: found a ball of {o.radius_mm:g} mm, {expected}{asked}"
     return reasons
 
 
 MIN_PRESSES = 8
 # If more of the presses disagree, the whole table is wrong.
 _MAX_LEFT_OUT = 0.25
+_SIZES_OF_BALLS = (FindingCode.DIAMETERS, FindingCode.HALVED_RADII)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,98 +239,157 @@ class Selection:
 
     presses: tuple[KnownPress, ...]
     observations: tuple[PressObservation, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[CalibrationFinding, ...]
     polarity: Polarity
-    wrong_keys: Contradiction | None
+    wrong_keys: CalibrationFinding | None
     answers: tuple[Inverse | None, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Usable:
+    """Presses that show a contact, with their images, and what was found of them and the others."""
+
+    pressed: list[tuple[KnownPress, PressLook]]
+    warnings: list[CalibrationFinding]
+    left_out: list[CalibrationFinding]
 
 
 def select_presses(
     unloaded: Calibration,
     presses: Sequence[KnownPress],
     network: Network | None = None,
+    *,
     polarity_stated: bool = True,
 ) -> Selection:
     """Leave out presses without contact, with a moved camera, or that disagree.
 
-    A polarity that was not stated is the one that fits the places. Raises ConfigError on a gross
+    A polarity that was not stated is the one that fits the places. Raises FindingError on a gross
     mistake in the whole table or the sensor's description, and on too few presses or too many left
     out, all of which it names.
     """
     if len(presses) < MIN_PRESSES:
-        raise ConfigError(
-            f"found {len(presses)} presses, expected at least {MIN_PRESSES} (20 give better "
-            "results)"
+        raise FindingError(
+            finding(FindingCode.FEW_PRESSES, found=len(presses), expected=MIN_PRESSES)
         )
-    geometry = unloaded.geometry
     check = PressCheck(unloaded, network)
-    pressed: list[tuple[KnownPress, PressLook]] = []
-    left_out: list[str] = []
-    warnings: list[str] = []
+    usable = _usable(unloaded, check, presses)
+    observations, polarity = _observed(
+        check, usable.pressed, unloaded.polarity, polarity_stated=polarity_stated
+    )
+    keys = wrong_keys(observations, unloaded.geometry)
+    _refuse_gross_mistakes(observations, unloaded.geometry, keys)
+    disagreeing = outliers(observations, unloaded.geometry)
+    left_out = [*usable.left_out, *disagreeing.values()]
+    kept = [k for k in range(len(usable.pressed)) if k not in disagreeing]
+    if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(kept) < MIN_PRESSES:
+        raise FindingError(
+            finding(
+                FindingCode.MANY_LEFT_OUT,
+                unusable=len(left_out),
+                presses=len(presses),
+                first=left_out[0],
+            ),
+            others=left_out[1:],
+        )
+    return Selection(
+        tuple(usable.pressed[k][0] for k in kept),
+        tuple(observations[k] for k in kept),
+        (
+            *usable.warnings,
+            *([keys] if keys else []),
+            *(replace(one, left_out=True) for one in left_out),
+        ),
+        polarity,
+        keys,
+        tuple(usable.pressed[k][1].answer for k in kept),
+    )
+
+
+def _usable(unloaded: Calibration, check: PressCheck, presses: Sequence[KnownPress]) -> _Usable:
+    """Look at each press that can be one of the sensor."""
+    sorted_out = _Usable([], [], [])
     for press in presses:
         if impossible := _impossible(unloaded, press):
-            left_out.append(f"{press.name}: {impossible}")
+            sorted_out.left_out.append(impossible)
             continue
         look = check.look(press.image)
         judged = check.judge(look)
-        if judged.unusable:
-            left_out.append(f"{press.name}: {judged.unusable}")
-        elif judged.moved:
-            left_out.append(f"{press.name}: {judged.moved} since the references were taken")
-        elif not judged.in_contact:
-            left_out.append(
-                f"{press.name}: the image shows no contact, expected one {press.depth_mm} mm deep"
+        if unusable := _unusable(judged, press):
+            sorted_out.left_out.append(unusable)
+            continue
+        sorted_out.pressed.append((press, look))
+        if judged.changed:
+            sorted_out.warnings.append(
+                finding(FindingCode.PRESS_CHANGED, press.name, change=judged.changed)
             )
-        else:
-            pressed.append((press, look))
-            if judged.changed:
-                warnings.append(f"{press.name}: {judged.changed} since the references were taken")
+    return sorted_out
+
+
+def _unusable(judged: Judgement, press: KnownPress) -> CalibrationFinding | None:
+    """Why the image of a press cannot be used; None if it can."""
+    if judged.unusable:
+        return finding(FindingCode.PRESS_UNUSABLE, press.name, reason=judged.unusable)
+    if judged.moved:
+        return finding(FindingCode.PRESS_CHANGED, press.name, change=judged.moved)
+    if not judged.in_contact:
+        return finding(FindingCode.NO_CONTACT, press.name, depth_mm=press.depth_mm)
+    return None
+
+
+def _observed(
+    check: PressCheck,
+    pressed: Sequence[tuple[KnownPress, PressLook]],
+    polarity: Polarity,
+    *,
+    polarity_stated: bool,
+) -> tuple[list[PressObservation], Polarity]:
+    """What the images show of the presses, and the polarity with which they do.
+
+    Raises FindingError if that is not the stated one.
+    """
     observations = [check.observe(look.maps, press) for press, look in pressed]
-    polarity = unloaded.polarity
     if len(observations) >= MIN_PRESSES:
         otherwise = [check.observe(look.maps.inverted(), press) for press, look in pressed]
         if hint := polarity_hint(observations, otherwise, polarity):
             if polarity_stated:
-                raise ContradictionError(hint)
+                raise FindingError(hint)
             observations, polarity = otherwise, other_polarity(polarity)
-    observations = [
+    # Last, because what a network sees no longer shows the polarity.
+    seen = [
         check.see(look, each, press)
         for each, (press, look) in zip(observations, pressed, strict=True)
     ]
-    keys = wrong_keys(observations, geometry)
-    if len(observations) >= MIN_PRESSES and (mistakes := gross_mistakes(observations, geometry)):
+    return seen, polarity
+
+
+def _refuse_gross_mistakes(
+    observations: Sequence[PressObservation], geometry: Geometry, keys: CalibrationFinding | None
+) -> None:
+    """Raise FindingError for a mistake that all presses share."""
+    if len(observations) < MIN_PRESSES:
+        return
+    if mistakes := gross_mistakes(observations, geometry):
         # Balls seem to have another size if the skin has.
-        is_of_balls = mistakes[0].key == "radius_mm"
-        raise ContradictionError(*((keys,) if keys and is_of_balls else mistakes))
-    warnings += [str(keys)] if keys else []
-    disagreeing = outliers(observations, geometry)
-    left_out += disagreeing.values()
-    usable = [k for k in range(len(pressed)) if k not in disagreeing]
-    if len(left_out) > _MAX_LEFT_OUT * len(presses) or len(usable) < MIN_PRESSES:
-        found = (
-            f"{len(left_out)} of {len(presses)} presses are unusable; the first one: {left_out[0]}"
-        )
-        raise ConfigError(found, others=left_out[1:])
-    return Selection(
-        tuple(pressed[k][0] for k in usable),
-        tuple(observations[k] for k in usable),
-        (*warnings, *(f"{reason}; left out" for reason in left_out)),
-        polarity,
-        keys,
-        tuple(pressed[k][1].answer for k in usable),
-    )
+        is_skin = keys and mistakes[0].code in _SIZES_OF_BALLS
+        raise FindingError(*([keys] if keys and is_skin else mistakes))
 
 
-def _impossible(calibration: Calibration, press: KnownPress) -> str:
-    """Why this cannot be a press of the sensor; empty if it can."""
+def _impossible(calibration: Calibration, press: KnownPress) -> CalibrationFinding | None:
+    """Why this cannot be a press of the sensor; None if it can."""
     most_mm = calibration.geometry.height_max_mm
     if press.image.shape[:2] != (calibration.image_height_px, calibration.image_width_px):
-        expected = (
-            f"expected {calibration.image_width_px}x{calibration.image_height_px} px as in the "
-            "reference"
+        return finding(
+            FindingCode.PRESS_SIZE,
+            press.name,
+            found=f"{press.image.shape[1]}x{press.image.shape[0]}",
+            expected=f"{calibration.image_width_px}x{calibration.image_height_px}",
         )
-        return f"found {press.image.shape[1]}x{press.image.shape[0]} px, {expected}"
     if not 0 < press.depth_mm < most_mm or not (press.indenter or press.radius_mm > 0):
-        found = f"found a depth of {press.depth_mm} mm and a ball radius of {press.radius_mm} mm"
-        return f"{found}, expected a depth above 0 and below {most_mm:g} mm and a radius above 0"
-    return ""
+        return finding(
+            FindingCode.PRESS_IMPOSSIBLE,
+            press.name,
+            depth_mm=press.depth_mm,
+            radius_mm=press.radius_mm,
+            most_mm=most_mm,
+        )
+    return None

@@ -14,6 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import (
+    BetterForm,
+    BetterValue,
+    CalibrationFinding,
+    FindingCode,
+    finding,
+)
 from tacshade_edge.calibration.indenters import ball_height_along, stated_ball
 from tacshade_edge.calibration.inputs import Contradiction
 from tacshade_edge.calibration.observation import PressObservation
@@ -49,7 +56,7 @@ _LENS_FACTORS = np.exp(np.linspace(-math.log(2), math.log(2), 9))
 
 def wrong_keys(
     observations: Sequence[PressObservation], geometry: Geometry
-) -> Contradiction | None:
+) -> CalibrationFinding | None:
     """The keys that explain the presses far better with another value, and that value, or another
     form of the skin that does better still; None if none does, or any key.
     """
@@ -62,28 +69,19 @@ def wrong_keys(
     form_gain, form = _best_form(balls, geometry, stated)
     enough = max(_GAIN_EACH * len(balls), _LEAST_GAIN)
     least = max(enough, _PART_OF_BEST * max(best, form_gain))
-    named = [
-        (gain, _NAMES.get(key, key), _said(geometry, key, at))
+    named: list[tuple[float, BetterValue | BetterForm]] = [
+        (gain, BetterValue(_NAMES.get(key, key), getattr(geometry, key), at))
         for key, (gain, at) in found.items()
         if gain >= least
     ]
     if len(named) == len(found) and form_gain < best + enough:
         return None
     if form_gain >= least:
-        named.append((form_gain, "skin", f"found {_words(geometry)}, expected {_words(form)}"))
+        named.append((form_gain, BetterForm(geometry, form)))
     if not named:
         return None
-    (_, likeliest, problem), *others = sorted(named, reverse=True)
-    alternatives = (f"; or {key}: {said} by the presses" for _, key, said in others)
-    return Contradiction(
-        "SENSOR.yaml", likeliest, f"{problem} by the presses{''.join(alternatives)}"
-    )
-
-
-def _said(geometry: Geometry, key: str, at: float) -> str:
-    stated = getattr(geometry, key)
-    found = "none" if stated is None else f"{stated:.4g}"
-    return f"found {found}, expected about {at:.0f}"
+    likeliest_first = sorted(named, key=lambda each: each[0], reverse=True)
+    return finding(FindingCode.WRONG_KEYS, better=[one for _, one in likeliest_first])
 
 
 def _keys(geometry: Geometry) -> tuple[str, ...]:
@@ -135,16 +133,6 @@ def _formed(geometry: Geometry, half_angle_deg: float, factor: float) -> Geometr
         return Geometry(math.inf, factor * lens_mm, 0.0, geometry.disc, radius_mm)
     r = radius_mm / math.sin(half)
     return Geometry(r, factor * lens_mm - r * math.cos(half), half_angle_deg, geometry.disc)
-
-
-def _words(geometry: Geometry) -> str:
-    """A skin as keys of SENSOR.yaml with values."""
-    d = geometry.camera_distance_mm
-    lens = "no camera_distance_mm" if d is None else f"camera_distance_mm {d:.0f}"
-    if geometry.skin == "pad":
-        return f"a pad (visible_radius_mm {geometry.visible_radius_mm:.0f}, {lens})"
-    r, half = geometry.skin_radius_mm, geometry.visible_half_angle_deg
-    return f"a dome (skin_radius_mm {r:.0f}, visible_half_angle_deg {half:.0f}, {lens})"
 
 
 def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry) -> float:

@@ -14,9 +14,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import (
+    Axes,
+    CalibrationFinding,
+    FindingCode,
+    SizeMistake,
+    finding,
+)
 from tacshade_edge.calibration.indenters import Placed
 from tacshade_edge.calibration.inputs import Contradiction, ContradictionError
 from tacshade_edge.calibration.observation import PressObservation, with_stated_place
+from tacshade_edge.calibration.sentences import FindingError
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Geometry, Polarity
 
@@ -37,7 +45,7 @@ _LEAST_REACH_RADII = 0.1
 # Without places: if twice the skin's radius is stated, balls look three or more times as large,
 # and depths larger too.
 _SKIN_BALL_FACTORS, _SKIN_DEPTH_FACTORS = (0.45, 2.5), (0.8, 1.3)
-_SKIN_MISTAKES = {"a diameter": 2.0, "half of the radius": 0.5, "in cm": 0.1}
+_SKIN_MISTAKES = {SizeMistake.DIAMETER: 2.0, SizeMistake.HALF: 0.5, SizeMistake.CM: 0.1}
 # Suggest other axes if they leave less than this part of an error
 # of at least this many mm on the nominal skin.
 _AXES_PART, _AXES_LEAST_MM = 0.5, 1.75
@@ -47,16 +55,16 @@ _AXES_LEAST_PRESSES = 4
 _POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
 # Other readings of x and y: x is a·x + b·y, y is c·x + d·y.
 _AXES = {
-    "x and y are swapped": (0, 1, 1, 0),
-    "x has the opposite sign": (-1, 0, 0, 1),
-    "y has the opposite sign": (1, 0, 0, -1),
-    "x and y have the opposite sign": (-1, 0, 0, -1),
-    "x and y are swapped and have the opposite sign": (0, -1, -1, 0),
-    "the axes are turned by 90 degrees": (0, -1, 1, 0),
-    "the axes are turned by -90 degrees": (0, 1, -1, 0),
-    "x and y are in cm": (10, 0, 0, 10),
-    "x and y are in inches": (25.4, 0, 0, 25.4),
-    "x and y are in m": (1000, 0, 0, 1000),
+    Axes.SWAPPED: (0, 1, 1, 0),
+    Axes.X_OPPOSITE: (-1, 0, 0, 1),
+    Axes.Y_OPPOSITE: (1, 0, 0, -1),
+    Axes.BOTH_OPPOSITE: (-1, 0, 0, -1),
+    Axes.SWAPPED_OPPOSITE: (0, -1, -1, 0),
+    Axes.TURNED_LEFT: (0, -1, 1, 0),
+    Axes.TURNED_RIGHT: (0, 1, -1, 0),
+    Axes.CM: (10, 0, 0, 10),
+    Axes.INCHES: (25.4, 0, 0, 25.4),
+    Axes.METRES: (1000, 0, 0, 1000),
 }
 # An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the
 # line's slope is one that the network has on known kinds of sensors. Good tables have 0.26 mm at
@@ -75,7 +83,7 @@ _LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
 
 def gross_mistakes(
     observations: Sequence[PressObservation], geometry: Geometry
-) -> tuple[Contradiction, ...]:
+) -> tuple[CalibrationFinding, ...]:
     """Mistakes that all presses share, or in the skin's size.
 
     Only a network that sees the presses finds sizes.
@@ -90,24 +98,19 @@ def gross_mistakes(
     return tuple(mistake for mistake in mistakes if mistake)
 
 
-def unit_mistake(factor: float) -> Contradiction | None:
+def unit_mistake(factor: float) -> CalibrationFinding | None:
     """A wrong unit of depths that images show as this much greater than stated; None if right."""
     if not factor > _UNIT_FACTOR:
         return None
     unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
-    return Contradiction(
-        "PRESSES.csv",
-        "depth_mm",
-        f"the images show presses about {factor:.0f} times as deep as stated: are the depths in "
-        f"{unit}? expected mm",
-    )
+    return finding(FindingCode.DEPTH_UNIT, factor=factor, unit=unit)
 
 
 def size_mistake(
     depth: float, ball: float, observations: Sequence[PressObservation], geometry: Geometry
-) -> Contradiction | None:
+) -> CalibrationFinding | None:
     """A wrong size of the skin or of all balls, by median ratios of shown to stated depths
-    and radii (NaN: unknown).
+    and radii (NaN: unknown); None if both are right.
     """
     places = _place_factor(observations, geometry.size_mm)
     skin = math.nan
@@ -119,22 +122,18 @@ def size_mistake(
         key, radius_mm = "skin_radius_mm", geometry.skin_radius_mm
         if geometry.skin == "pad":
             key, radius_mm = "visible_radius_mm", geometry.visible_radius_mm
-        asked = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
-        expected = f"expected about {radius_mm / _SKIN_MISTAKES[asked]:.0f}"
-        return Contradiction(
-            "SENSOR.yaml",
-            key,
-            f"found {radius_mm:g}, but with it the images show presses about {skin:.1f} times as "
-            f"large as PRESSES.csv: is it {asked}? {expected}",
+        likely = min(_SKIN_MISTAKES, key=lambda name: abs(math.log(_SKIN_MISTAKES[name] / skin)))
+        return finding(
+            FindingCode.SKIN_SIZE,
+            key=key,
+            found_mm=radius_mm,
+            factor=skin,
+            mistake=likely,
+            expected_mm=radius_mm / _SKIN_MISTAKES[likely],
         )
     if _beyond(ball, _BALL_FACTORS) and not _LEAST_BALL_PER_DEPTH * depth < ball < 1:
-        asked = "are they diameters?" if ball < 1 else "are they halved?"
-        return Contradiction(
-            "PRESSES.csv",
-            "radius_mm",
-            f"the images show balls of about {ball:.1f} times the stated radii: {asked} expected "
-            "radii in mm",
-        )
+        code = FindingCode.DIAMETERS if ball < 1 else FindingCode.HALVED_RADII
+        return finding(code, factor=ball)
     return None
 
 
@@ -168,10 +167,8 @@ def other_polarity(polarity: Polarity) -> Polarity:
 
 def polarity_hint(
     observations: Sequence[PressObservation], other: Sequence[PressObservation], stated: Polarity
-) -> Contradiction | None:
-    """A hint at the other polarity, if the places of the same presses then fit clearly better;
-    None otherwise.
-    """
+) -> CalibrationFinding | None:
+    """A hint at the other polarity, if the places of the same presses then fit clearly better."""
     found, else_found = (with_stated_place(presses) for presses in (observations, other))
     if len(found) < _AXES_LEAST_PRESSES:
         return None
@@ -181,18 +178,19 @@ def polarity_hint(
         return None
     if else_error > min(_error_mm(found, axes) for axes in _AXES.values()):
         return None  # other axes explain it better
-    return Contradiction(
-        "SENSOR.yaml",
-        "polarity",
-        f"found {stated}, expected {other_polarity(stated)}: the places fit within "
-        f"{else_error:.1f} mm with it, not {error:.1f} mm",
+    return finding(
+        FindingCode.POLARITY,
+        found=stated,
+        expected=other_polarity(stated),
+        found_mm=error,
+        expected_mm=else_error,
     )
 
 
-def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> Contradiction | None:
-    """A hint at other axes, or another unit of the places, that fit clearly better;
-    None if none do.
-    """
+def axes_hint(
+    observations: Sequence[PressObservation], geometry: Geometry
+) -> CalibrationFinding | None:
+    """A hint at other axes, or another unit of the places, that fit clearly better."""
     stated = with_stated_place(observations)
     if len(stated) < _AXES_LEAST_PRESSES:
         return None
@@ -201,11 +199,7 @@ def axes_hint(observations: Sequence[PressObservation], geometry: Geometry) -> C
     error = _error_mm(stated, _AXES[best])
     if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
         return None
-    return Contradiction(
-        "PRESSES.csv",
-        "x_mm, y_mm",
-        f"the places fit within {error:.1f} mm, not {as_stated:.1f} mm, if {best}",
-    )
+    return finding(FindingCode.AXES, found_mm=as_stated, expected_mm=error, axes=best)
 
 
 def _error_mm(
@@ -222,16 +216,18 @@ def _error_mm(
     )
 
 
-def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry) -> str:
+def zero_hint(
+    found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geometry
+) -> CalibrationFinding | None:
     """A better zero of the stated depths, judging by the greatest h that a network finds in each
-    press without a refit; empty if none is clearly better.
+    press without a refit; None if none is clearly better.
 
-    Raises ConfigError if the depths are certainly travel from first touch.
+    Raises FindingError if the depths are certainly travel from first touch.
     """
     r, scale = geometry.skin_radius_mm, skin_scale(geometry)
     found = np.asarray(found_mm) / scale
     if len(found) < _LEAST_ZEROED or np.ptp(found) == 0:
-        return ""
+        return None
     stated = np.array([at.depth_max_mm(r) for at in placed]) / scale
     missing = (
         stated
@@ -241,18 +237,13 @@ def zero_hint(found_mm: Sequence[float], placed: Sequence[Placed], geometry: Geo
     if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
         (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
         if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):
-            problem = (
-                "found travel from first touch, judging by the images: pass --depth-from-touch, "
-                "or state the undeformed skin's z at (x, y) minus the z of the indenter's lowest "
-                "point (docs/reference/calibration-files.md)"
-            )
-            raise ContradictionError(Contradiction("PRESSES.csv", "depth_mm", problem))
+            raise FindingError(finding(FindingCode.TRAVEL))
     (slope, offset), (_, deviation) = _robust_fit(x[:, [0, 2]], stated)
     beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
     if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):
-        return ""
-    change = f"{abs(offset) * scale:.1f} mm {'less' if offset > 0 else 'more'}"
-    return f"the depths fit better if all are {change}: check where depth is zero"
+        return None
+    code = FindingCode.DEPTHS_TOO_GREAT if offset > 0 else FindingCode.DEPTHS_TOO_SMALL
+    return finding(code, by_mm=abs(offset) * scale)
 
 
 def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:

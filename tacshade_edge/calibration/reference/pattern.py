@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.reference.marker_field import MarkerField, find_markers
+from tacshade_edge.calibration.sentences import circle_to_state
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.frame_check.picture import SATURATED_LEVEL
 from tacshade_edge.sensor.geometry.disc import disc_mask
@@ -95,7 +97,7 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     try:
         disc = stated or find_disc(grey)
     except CircleNotFoundError as error:
-        advice = _advice(error.guess) if error.guess else ""
+        advice = circle_to_state(error.guess) if error.guess else ""
         raise CircleNotFoundError(f"{error}{advice}", error.guess) from None
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = (
@@ -106,39 +108,23 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     return disc
 
 
-def rim_warning(grey: U8, disc: Disc) -> str:
-    """A warning if a found circle bounds the markers, but no rim is seen to cut the pattern;
-    empty otherwise.
+def found_circle_doubt(grey: U8, disc: Disc) -> CalibrationFinding | None:
+    """That a found circle bounds the markers, but no rim is seen to cut the pattern;
+    None if one is.
     """
     if _ending_part(grey, disc) >= _ENDING:
-        return ""
-    return (
-        "visible circle: found the circle around the outermost markers, not a rim that ends "
-        f"them{_advice(disc)}"
-    )
+        return None
+    return finding(FindingCode.NO_RIM, circle=disc)
 
 
-def stated_warning(grey: U8, disc: Disc) -> str:
-    """A warning if a stated circle leaves out many markers, as by a wrong digit or swapped axes;
-    empty otherwise.
+def stated_circle_doubt(grey: U8, disc: Disc) -> CalibrationFinding | None:
+    """That a stated circle leaves out many markers, as by a wrong digit or swapped axes;
+    None if it does not.
     """
     field = find_markers(grey)
     if not field or field.holds(disc, _STATED_PART):
-        return ""
-    outside = f"found {100 * (1 - _STATED_PART):.0f} % or more of the markers outside it"
-    return (
-        f"SENSOR.yaml: visible_circle: {outside}, expected nearly all inside; `--plot` draws both"
-    )
-
-
-def _advice(guess: Disc) -> str:
-    circle = (
-        f"{{row_px: {guess.row_c:.0f}, col_px: {guess.col_c:.0f}, radius_px: "
-        f"{guess.radius_px:.0f}}}"
-    )
-    return (
-        f"; measure it in the image and state it in SENSOR.yaml, such as `visible_circle: {circle}`"
-    )
+        return None
+    return finding(FindingCode.MARKERS_OUTSIDE, percent=100 * (1 - _STATED_PART))
 
 
 def find_disc(grey: U8) -> Disc:

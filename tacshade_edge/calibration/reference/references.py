@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.reference import pattern, spacing
+from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.contact.gate import GATE_MM2, ContactGate
@@ -41,6 +43,7 @@ of whole images, and without a network.
 """
 ASSUMED_NOISE_GREY, NOISE_REFERENCES = 1.0, 3
 """Noise of g, RMS in grey levels, assumed for fewer references than the second."""
+ADVISED_REFERENCES = 5
 # A reference of which more has changed against the mean of all is pressed:
 # a tip that sways reaches 0.22 (raw TacTips).
 LOADED_PART = 0.23
@@ -53,8 +56,8 @@ _WORN_CONTRAST = 0.6
 _MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
 
 
-def reference_load_reason(preprocessor: Preprocessor) -> str:
-    """A message why the reference seems to have been taken under load; empty if it does not.
+def load_finding(preprocessor: Preprocessor) -> CalibrationFinding | None:
+    """What shows that the reference was taken under load; None if nothing does.
 
     The ratio of white shows objects that press between markers,
     the spacing of the markers wide ones.
@@ -75,16 +78,10 @@ def reference_load_reason(preprocessor: Preprocessor) -> str:
     lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
     area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
     if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
-        return (
-            f"the skin seems pressed in the reference: {area_mm2:.0f} mm² differ from the skin "
-            "around the centre"
-        )
+        return finding(FindingCode.PRESSED_PATCH, area_mm2=area_mm2)
     if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
-        return (
-            "the skin's centre seems pressed in the reference: "
-            f"its profile bends by {bend:.0f} grey levels"
-        )
-    return spacing.widening_reason(preprocessor.calibration.reference_grey, geometry)
+        return finding(FindingCode.PRESSED_CENTRE, bend_grey=bend)
+    return spacing.widening_finding(preprocessor.calibration.reference_grey, geometry)
 
 
 def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
@@ -179,51 +176,60 @@ def shown_polarity(calibration: Calibration) -> Polarity:
 
 
 def check_references(
-    calibration: Calibration, greys: Sequence[U8], allow_loaded: bool, names: Sequence[str] = ()
-) -> tuple[str, ...]:
+    calibration: Calibration, greys: Sequence[U8], names: Sequence[str] = (), *, allow_loaded: bool
+) -> tuple[CalibrationFinding, ...]:
     """Warn of differences between the images of a reference, and of a load if that is allowed.
 
-    Raises ConfigError on a load that is not, and on a camera that moved too far.
+    Raises FindingError on a load that is not, and on a camera that moved too far.
     """
     names = names or [str(number) for number in range(1, len(greys) + 1)]
     disc, preprocessor = calibration.geometry.disc, Preprocessor(calibration, PROFILE)
-    warnings, gate = [], ContactGate(preprocessor)
+    warnings = list[CalibrationFinding]()
     if len(greys) < NOISE_REFERENCES:
         warnings.append(
-            f"references: found {len(greys)}, expected 5 to measure noise; assuming "
-            f"{ASSUMED_NOISE_GREY} grey levels"
+            finding(
+                FindingCode.FEW_REFERENCES,
+                found=len(greys),
+                expected=ADVISED_REFERENCES,
+                noise_grey=ASSUMED_NOISE_GREY,
+            )
         )
     first = camera_drift.look(greys[0], disc, calibration.pitch_px)
     for name, grey in zip(names[1:], greys[1:], strict=True):
         drift = camera_drift.drift(first, grey)
         shift = camera_drift.shift_reason(drift, disc)
         if camera_drift.shifted_too_far(drift, disc):
-            raise ConfigError(
-                f"reference {name}: {shift} since reference {names[0]}; fasten the camera and "
-                "take all references again"
+            raise FindingError(
+                finding(FindingCode.CAMERA_MOVED, name=name, change=shift, against=names[0])
             )
         if change := shift or drift.light_reason:
-            warnings.append(f"reference {name}: {change} compared with reference {names[0]}")
-    loads = [reference_load_reason(preprocessor)]
+            warnings.append(
+                finding(FindingCode.REFERENCES_DIFFER, name=name, change=change, against=names[0])
+            )
+    loads = _loads(preprocessor, greys, names)
+    if loads and not allow_loaded:
+        raise FindingError(finding(FindingCode.REFERENCE_PRESSED, load=loads[0]))
+    return (*warnings, *loads)
+
+
+def _loads(
+    preprocessor: Preprocessor, greys: Sequence[U8], names: Sequence[str]
+) -> list[CalibrationFinding]:
+    """What shows a load: in the mean of the references, and in some of them against it."""
+    loads = [load] if (load := load_finding(preprocessor)) else []
+    gate = ContactGate(preprocessor)
     changed = [gate.changed_part(preprocessor.preprocess(grey)) for grey in greys]
     if pressed := [name for name, part in zip(names, changed, strict=True) if part > LOADED_PART]:
-        others = f" and {len(pressed) - 3} more" if len(pressed) > 3 else ""
-        names = f"{', '.join(pressed[:3])}{others}"
-        loads.append(
-            f"the skin seems pressed in reference {names}, compared with the mean of all references"
-        )
-    if any(loads) and not allow_loaded:
-        advice = "take the references again without contact, or pass --allow-loaded-reference"
-        raise ConfigError(f"{next(filter(None, loads))}; {advice}")
-    warnings += filter(None, loads)
-    return tuple(warnings)
+        loads.append(finding(FindingCode.PRESSED_IMAGES, images=pressed))
+    return loads
 
 
 def rezero(
     calibration: Calibration,
     images: Sequence[U8],
-    allow_loaded: bool = False,
     names: Sequence[str] = (),
+    *,
+    allow_loaded: bool = False,
 ) -> Calibration:
     """Replace a calibration's reference by new images of the unloaded skin.
 
@@ -255,8 +261,8 @@ def rezero(
             )
             raise ConfigError(f"{lead}{found} times; clean or focus the lens, or calibrate again")
     renewed = with_reference(replace(calibration, crc32=0), greys)
-    if not allow_loaded and (load := reference_load_reason(Preprocessor(renewed, PROFILE))):
-        raise ConfigError(f"rejected the reference: {load}")
+    if not allow_loaded and (load := load_finding(Preprocessor(renewed, PROFILE))):
+        raise ConfigError(f"rejected the reference: {sentence(load)}")
     return renewed
 
 

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
 from tacshade_edge.calibration.reference.marker_field import MarkerField, find_markers
 from tacshade_edge.types import F64, U8, Geometry, frozen
 
@@ -47,15 +48,18 @@ class Widening:
         return self.part * min(math.log(self.factor), _SURE_LOG_FACTOR)
 
 
-def widening_reason(grey: U8, geometry: Geometry) -> str:
-    """Say why a reference seems to have been taken under load; empty if no marker shows it."""
+def widening_finding(grey: U8, geometry: Geometry) -> CalibrationFinding | None:
+    """That markers show a load in a reference; None if they do not."""
     field = find_markers(grey)
     found = widening_of(field, geometry) if field else None
     if found is None or found.strength < PRESSED:
-        return ""
-    where = f"around row {found.row_px:.0f}, column {found.col_px:.0f}"
-    wider = f"the markers {where} stand {100 * (found.factor - 1):.0f} % too far apart"
-    return f"the skin seems pressed in the reference: {wider}"
+        return None
+    return finding(
+        FindingCode.PRESSED_MARKERS,
+        row_px=found.row_px,
+        col_px=found.col_px,
+        percent=100 * (found.factor - 1),
+    )
 
 
 def widening_of(field: MarkerField, geometry: Geometry) -> Widening | None:

@@ -27,6 +27,8 @@ from tacshade_edge.calibration.inputs import ContradictionError, KnownPress
 from tacshade_edge.calibration.press_machine import from_travel
 from tacshade_edge.calibration.reference.pattern import CircleNotFoundError
 from tacshade_edge.calibration.reference.references import rezero
+from tacshade_edge.calibration.sentences import FindingError, sentence
+from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
 from tacshade_edge.cli.shared.options import add_flag, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.rest_option import (
@@ -147,15 +149,21 @@ def run(args: argparse.Namespace) -> int:
     names = list(map(str, args.reference))
     try:
         result = calibrate(
-            sensor, references, presses, args.allow_loaded_reference, load_networks(), names
+            sensor,
+            references,
+            presses,
+            allow_loaded_reference=args.allow_loaded_reference,
+            networks=load_networks(),
+            reference_names=names,
         )
     except ConfigError as error:
         if args.plot:
             guess = error.guess if isinstance(error, CircleNotFoundError) else None
             _plot(args.plot, reference_picture(to_grey(references[0]), guess=guess))
-        if isinstance(error, ContradictionError):
-            raise error.with_paths(args.sensor, args.presses) from None
-        raise
+        if not isinstance(error, FindingError):
+            raise
+        wording = replace(WITH_OPTIONS, sensor_file=str(args.sensor), press_table=str(args.presses))
+        raise error.worded(wording) from None
     calibration, fitted = result.calibration, None
     if args.plot:
         places = places_px(calibration.geometry, result.presses)
@@ -172,28 +180,30 @@ def run(args: argparse.Namespace) -> int:
     rest = rest_of(args, calibration, references) if args.rest else None
     calibration = replace(calibration, touch=learnt, rest=rest.limits if rest else {})
     stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
-    quality = result.quality
+    verdict_line = sentence(result.quality.line, WITH_OPTIONS)
+    to_do = [sentence(advice, WITH_OPTIONS) for advice in result.quality.advice]
     more: dict[str, Any] = {
-        "verdict": quality.grade,
-        "verdict_line": quality.line,
-        "to_do": list(quality.advice),
+        "verdict": result.quality.grade,
+        "verdict_line": verdict_line,
+        "to_do": to_do,
     }
     more |= (_fit_report(fitted) if fitted else {}) | (_touch_report(touch) if touch else {})
     more |= rest_report(rest) if rest else {}
-    warnings = (*notes, *result.warnings, *_touch_warnings(touch))
+    found = [sentence(warning, WITH_OPTIONS) for warning in result.warnings]
+    warnings = (*notes, *found, *_touch_warnings(touch))
     _print(args, stored, (*warnings, *(rest_warnings(rest) if rest else ())), more)
     if not args.json:
         for line in (line for one in touch for line in report_lines(one)):
             print(line)
         for line in rest_lines(rest, calibration, result.presses) if rest else ():
             print(line)
-        print(f"{'as shipped, ' if fitted else ''}{quality.line}")
+        print(f"{'as shipped, ' if fitted else ''}{verdict_line}")
         if used := calibration.fit and calibration.fit.profiles.get(DEFAULT):
             errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
             print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
         for line in (*fitted.found, *(report.line for report in fitted.networks)) if fitted else ():
             print(line, file=sys.stdout if fitted and fitted.networks else sys.stderr)
-        for advice in (*(fitted.advice if fitted else ()), *quality.advice):
+        for advice in (*(fitted.advice if fitted else ()), *to_do):
             print(f"  to do: {advice}")
     return 1 if fitted and not fitted.networks else 0
 
@@ -236,7 +246,12 @@ def _rezero(args: argparse.Namespace) -> int:
     old, inputs = loading.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:
-        renewed = rezero(old, images, args.allow_loaded_reference, list(map(str, args.reference)))
+        renewed = rezero(
+            old,
+            images,
+            list(map(str, args.reference)),
+            allow_loaded=args.allow_loaded_reference,
+        )
         # Keep even networks that cannot run: `doctor` then suggests a new fit.
         renewed = replace(renewed, fitted=calibration_file.fitted_in(args.rezero))
     except ConfigError as error:

@@ -13,7 +13,9 @@ from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.files.labels import read_labels
 from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.cli.shared import study
+from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
 from tacshade_edge.cli.shared.options import COUNT, add_option, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -79,7 +81,7 @@ def _simulated(args: argparse.Namespace) -> int:
             "name": str(name),
             "model": asdict(name.make().model),
             "fit": calibration_file.fit_figures(made.calibration.fit),
-            "warnings": list(made.warnings),
+            "warnings": [sentence(warning, WITH_OPTIONS) for warning in made.warnings],
         }
         for name, made in zip(names, found, strict=True)
     ]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 
+from tacshade_edge.calibration.findings import FindingCode
 from tacshade_edge.calibration.indenters import box
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation
@@ -44,9 +45,8 @@ def test_a_ball_of_another_radius_is_seen(stated: float, low: float, high: float
     wrong = [replace(press, radius_mm=stated * press.radius_mm) for press in deep]
     assert low < float(np.median([seen(press).ball_factor for press in wrong])) < high
     asked = [check().question(check().look(press.image), press) for press in wrong]
-    assert sum(("diameter" if stated > 1 else "radius") in text for text in asked) >= 0.9 * len(
-        asked
-    )
+    code = FindingCode.LOOKS_SMALLER if stated > 1 else FindingCode.LOOKS_LARGER
+    assert sum(each is not None and each.code is code for each in asked) >= 0.9 * len(asked)
 
 
 @pytest.mark.slow

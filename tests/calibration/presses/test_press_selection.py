@@ -21,6 +21,7 @@ from support.calibrated_sensor import (
 from support.observed_presses import PRESSES, SEEDS, observed
 
 from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
+from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.calibration.presses.press_selection import (
@@ -31,6 +32,7 @@ from tacshade_edge.calibration.presses.press_selection import (
     outliers,
     select_presses,
 )
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.script import ball_presses
@@ -63,6 +65,10 @@ def named(lines: tuple[str, ...]) -> list[str]:
     return [line.partition(":")[0] for line in lines]
 
 
+def said(warnings: tuple[CalibrationFinding, ...]) -> list[str]:
+    return [sentence(warning) for warning in warnings]
+
+
 def moved(press: KnownPress, px: int) -> KnownPress:
     return replace(press, image=camera_faults.shift(press.image, 0, px))
 
@@ -83,8 +89,8 @@ def test_presses_that_cannot_be_are_all_named_and_the_others_used(
     ]
     small, black = replace(third, image=third.image[:-2]), replace(fourth, image=fourth.image * 0)
     found = selected(*bad, small, black)
-    assert named(found.warnings) == NAMES[:4]
-    assert all(line.endswith("; left out") for line in found.warnings)
+    assert [warning.press for warning in found.warnings] == NAMES[:4]
+    assert all(line.endswith("; left out") for line in said(found.warnings))
     assert [press.name for press in found.presses] == NAMES[4:]
     flat = [replace(press, radius_mm=0.0) for press in presses()[4:6]]
     with pytest.raises(
@@ -97,7 +103,7 @@ def test_presses_that_cannot_be_are_all_named_and_the_others_used(
 def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     deep = max(presses(), key=lambda press: press.depth_mm)
     apart = max(presses(), key=lambda press: abs((press.x_mm or 0) - (press.y_mm or 0)))
-    for wrong, said in (
+    for wrong, doubt in (
         (replace(presses()[6], depth_mm=presses()[6].depth_mm + 2.5), "found a depth of "),
         (
             replace(deep, radius_mm=2 * deep.radius_mm),
@@ -108,9 +114,9 @@ def test_a_press_that_disagrees_is_named_and_left_out() -> None:
             f"found x {apart.y_mm:.1f}, y {apart.x_mm:.1f} mm, ",
         ),
     ):
-        found = selected(wrong, network="depth" not in said)
-        (warning,) = found.warnings
-        assert warning.startswith(f"{wrong.name}: {said}")
+        found = selected(wrong, network="depth" not in doubt)
+        (warning,) = said(found.warnings)
+        assert warning.startswith(f"{wrong.name}: {doubt}")
         assert warning.endswith("; left out")
         assert wrong.name not in {press.name for press in found.presses}
 
@@ -128,12 +134,14 @@ def test_too_many_that_disagree_are_refused() -> None:
 
 
 def test_a_camera_that_moved_or_other_light_at_a_press() -> None:
-    assert selected(moved(presses()[0], 1)).warnings == (
-        "press 0: the image moved by 1.0 px since the references were taken",
-    )
+    assert said(selected(moved(presses()[0], 1)).warnings) == [
+        "press 0: the image moved by 1.0 px since the references were taken"
+    ]
     dim = replace(presses()[0], image=camera_faults.gain(presses()[0].image, 0.7))
-    assert selected(dim).warnings[0].endswith("times the light since the references were taken")
-    (warning,) = selected(moved(presses()[0], 5)).warnings
+    assert said(selected(dim).warnings)[0].endswith(
+        "times the light since the references were taken"
+    )
+    (warning,) = said(selected(moved(presses()[0], 5)).warnings)
     assert warning.startswith("press 0: the camera has moved by 4.9 px")
     assert warning.endswith("; left out")
 
@@ -180,7 +188,7 @@ def test_a_true_table_is_not_refused() -> None:
 def test_a_fine_lattice_keeps_its_right_presses() -> None:
     """Where the skin brightens most is elsewhere then."""
     warnings = with_networks(*fitted("other:53", 20, pitch_mm=1.32)).warnings
-    assert not any(": found x " in warning for warning in warnings)
+    assert not any(warning.code is FindingCode.OTHER_PLACE for warning in warnings)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +215,9 @@ def test_a_wrong_polarity_is_named(model: SensorModel, wrong: Polarity, right: s
         select_presses(unloaded, presses(model))
     assert select_presses(unloaded, presses(model), polarity_stated=False).polarity == right
     (warning,) = calibrate(replace(sensor_of(model), polarity=wrong), references(model)).warnings
-    assert warning.startswith(f"polarity: found {wrong}, expected {right}: the reference shows")
+    assert sentence(warning).startswith(
+        f"polarity: found {wrong}, expected {right}: the reference shows"
+    )
 
 
 @pytest.mark.parametrize("name", ["3", "other:4", "other:31", "square:5"])

@@ -9,11 +9,19 @@ from support.calibrated_sensor import HALF, presses, references, sensor_of
 
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.calibration.presses.press_check import PressCheck
 from tacshade_edge.calibration.presses.sensor_check import wrong_keys
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.simulator.sensor_model import SensorModel, flattened
 from tacshade_edge.sensor.inference.network import load_networks
+from tacshade_edge.types import Geometry
+
+
+def said(seen: Sequence[PressObservation], geometry: Geometry) -> str:
+    keys = wrong_keys(seen, geometry)
+    return sentence(keys) if keys else ""
 
 
 def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) -> str:
@@ -22,8 +30,10 @@ def found(key: str = "", factor: float = 1.0, table: Sequence[KnownPress] = ()) 
     wrong = replace(stated, **{key: factor * getattr(stated, key)}) if key else stated
     unloaded = calibrate(wrong, references()).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
-    seen = [check.observation(check.look(one.image), one) for one in table or presses()]
-    return str(wrong_keys(seen, unloaded.geometry) or "")
+    return said(
+        [check.observation(check.look(one.image), one) for one in table or presses()],
+        unloaded.geometry,
+    )
 
 
 @pytest.mark.slow
@@ -49,7 +59,7 @@ def said_of(pressed: SensorModel, stated: SensorModel) -> str:
     unloaded = calibrate(sensor_of(stated), references(pressed)).calibration
     check = PressCheck(unloaded, load_networks()["accurate"])
     seen = [check.observation(check.look(one.image), one) for one in presses(pressed)]
-    return str(wrong_keys(seen, unloaded.geometry) or "")
+    return said(seen, unloaded.geometry)
 
 
 @pytest.mark.slow
@@ -60,20 +70,20 @@ def test_a_skin_of_the_stated_form_is_not_doubted(form: str) -> None:
 
 @pytest.mark.slow
 def test_a_pad_that_is_called_a_dome_is_named_with_its_size_and_lens() -> None:
-    said = said_of(FORMS["pad"], FORMS["dome"])
+    heard = said_of(FORMS["pad"], FORMS["dome"])
     found = "skin: found a dome (skin_radius_mm 20, visible_half_angle_deg 50, camera_distance_mm"
-    assert said.startswith(f"SENSOR.yaml: {found}")
-    assert "expected a pad (visible_radius_mm 15, camera_distance_mm " in said
+    assert heard.startswith(f"SENSOR.yaml: {found}")
+    assert "expected a pad (visible_radius_mm 15, camera_distance_mm " in heard
 
 
 @pytest.mark.slow
 def test_a_dome_that_is_called_a_pad_is_named_with_its_radius_and_lens() -> None:
-    said = said_of(FORMS["dome"], FORMS["pad"])
+    heard = said_of(FORMS["dome"], FORMS["pad"])
     found = r"skin: found a pad \(visible_radius_mm 15, camera_distance_mm 27\)"
     dome = (
         r"a dome \(skin_radius_mm (\d+), visible_half_angle_deg (\d+), camera_distance_mm -?\d+\)"
     )
-    named = re.search(f"{found}, expected {dome} by the presses", said)
+    named = re.search(f"{found}, expected {dome} by the presses", heard)
     assert named is not None
     assert int(named[1]) == pytest.approx(20, abs=3)
     assert int(named[2]) == pytest.approx(50, abs=10)

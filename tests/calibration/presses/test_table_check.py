@@ -14,13 +14,14 @@ from support.calibrated_sensor import presses as half_presses
 from support.observed_presses import SEEDS, observed
 
 from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.findings import Axes, CalibrationFinding, FindingCode
 from tacshade_edge.calibration.indenters import Ball, stated_ball
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.calibration.press_machine import from_travel
 from tacshade_edge.calibration.presses.press_check import PressCheck
 from tacshade_edge.calibration.presses.table_check import gross_mistakes, size_mistake, zero_hint
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.lab.simulator.script import ball_presses
 from tacshade_edge.sensor.inference.network import load_networks
 from tacshade_edge.types import Disc, Geometry
@@ -47,9 +48,9 @@ Change = Callable[[PressObservation], PressObservation]
 def test_balls_that_look_smaller_are_diameters_where_depths_do_not(
     depth: float, ball: float, said: str
 ) -> None:
-    found = str(size_mistake(depth, ball, (), GEOMETRY) or "")
-    assert said in found
+    found = size_mistake(depth, ball, (), GEOMETRY)
     assert bool(said) == bool(found)
+    assert found is None or said in sentence(found)
 
 
 @cache
@@ -94,7 +95,7 @@ def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
     geometry = calibrated(count=0).geometry
     found = gross_mistakes([MISTAKES[mistake](o) for o in seen()], geometry)
     assert len(found) == bool(mistake)
-    assert all(mistake in each.problem for each in found)
+    assert all(mistake in sentence(one) for one in found)
     unplaced = [replace(MISTAKES[mistake](o), x_mm=None, y_mm=None) for o in seen()]
     assert len(gross_mistakes(unplaced, geometry)) == ("they" in mistake or "depths" in mistake)
 
@@ -105,8 +106,7 @@ def test_axes_are_judged_without_a_network_too(seed: int) -> None:
     presses, geometry = observed(seed)
     assert gross_mistakes(presses, geometry) == ()
     (hint,) = gross_mistakes([turned(0, 1, 1, 0)(o) for o in presses], geometry)
-    assert hint.key == "x_mm, y_mm"
-    assert hint.problem.endswith("if x and y are swapped")
+    assert hint.values["axes"] is Axes.SWAPPED
 
 
 def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:
@@ -126,24 +126,22 @@ def lower(ball: Ball, by_mm: float) -> Ball:
 @pytest.mark.parametrize("off_mm", [-0.8, 0.8])
 def test_a_constant_offset_is_measured(off_mm: float) -> None:
     found_mm, balls = set_of(24, 1)
-    assert zero_hint(found_mm, balls, GEOMETRY) == ""
+    assert zero_hint(found_mm, balls, GEOMETRY) is None
     hint = zero_hint(found_mm, [lower(ball, off_mm) for ball in balls], GEOMETRY)
-    change = hint.removeprefix("the depths fit better if all are ").removesuffix(
-        ": check where depth is zero"
-    )
-    size, unit, direction = change.split(" ")
-    assert (unit, direction) == ("mm", "less" if off_mm > 0 else "more")
-    assert float(size) == pytest.approx(0.8, abs=0.25)
+    assert hint is not None
+    greater, smaller = FindingCode.DEPTHS_TOO_GREAT, FindingCode.DEPTHS_TOO_SMALL
+    assert hint.code is (greater if off_mm > 0 else smaller)
+    assert hint.values["by_mm"] == pytest.approx(0.8, abs=0.25)
 
 
 def test_what_says_nothing_has_no_hint() -> None:
     found_mm, balls = set_of(24, 2)
     off = [lower(ball, 0.8) for ball in balls]
-    assert zero_hint(found_mm, off, GEOMETRY) != ""
-    assert zero_hint(found_mm[:11], off[:11], GEOMETRY) == ""  # too few
-    assert zero_hint([2.0] * 24, off, GEOMETRY) == ""
+    assert zero_hint(found_mm, off, GEOMETRY) is not None
+    assert zero_hint(found_mm[:11], off[:11], GEOMETRY) is None  # too few
+    assert zero_hint([2.0] * 24, off, GEOMETRY) is None
     assert (
-        zero_hint([0.5 * h for h in found_mm], off, GEOMETRY) == ""
+        zero_hint([0.5 * h for h in found_mm], off, GEOMETRY) is None
     )  # no sensor of the network's kind
 
 
@@ -167,7 +165,7 @@ def stated_as(presses: list[KnownPress], off_mm: Callable[[KnownPress], float]) 
     return [press for press in table if press.depth_mm > 0]
 
 
-def warnings_of(table: list[KnownPress]) -> tuple[str, ...]:
+def warnings_of(table: list[KnownPress]) -> tuple[CalibrationFinding, ...]:
     networks = {"accurate": load_networks()["accurate"]}
     return calibrate(sensor_of(FULL), references(FULL), table, networks=networks).warnings
 
@@ -180,12 +178,8 @@ def less_first_touch(press: KnownPress) -> float:
 
 @pytest.mark.slow
 def test_a_simulated_sensor(presses: list[KnownPress]) -> None:
-    hints = [
-        warning
-        for warning in warnings_of(stated_as(presses, lambda _: 0.7))
-        if "fit better" in warning
-    ]
-    assert "mm less: check where depth is zero" in " ".join(hints)
+    said = [sentence(warning) for warning in warnings_of(stated_as(presses, lambda _: 0.7))]
+    assert "mm less: check where depth is zero" in " ".join(said)
 
 
 @pytest.mark.slow
@@ -194,10 +188,11 @@ def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
 ) -> None:
     table = stated_as(presses, less_first_touch)
     with pytest.raises(
-        ConfigError,
-        match=r"PRESSES.csv: depth_mm: found travel from first touch.* --depth-from-touch,",
-    ):
+        FindingError, match=r"PRESSES.csv: depth_mm: found travel from first touch"
+    ) as refused:
         warnings_of(table)
+    (travel,) = refused.value.findings
+    assert travel.code is FindingCode.TRAVEL
     read = [from_travel(press, FULL.skin_radius_mm) for press in table]
     assert [press.depth_mm for press in read] == pytest.approx(
         [press.depth_mm for press in presses]
@@ -208,5 +203,4 @@ def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.7, 1.0, 1.4]), st.integers(12, 40))
 def test_right_depths_are_not_taken_for_travel(seed: int, factor: float, count: int) -> None:
     found_mm, balls = set_of(count, seed)
-    hint = zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them
-    assert "travel" not in hint
+    zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them

@@ -14,9 +14,10 @@ from tacshade_edge.calibration.reference.marker_field import MarkerField
 from tacshade_edge.calibration.reference.spacing import (
     PRESSED,
     log_growth,
+    widening_finding,
     widening_of,
-    widening_reason,
 )
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.sensor.image.greyscale import to_grey
@@ -136,9 +137,12 @@ def test_too_few_markers_show_nothing() -> None:
 def test_a_plate_on_the_skin_is_seen_in_a_picture(model: SensorModel) -> None:
     plate = Press(OBJECTS["plate"](), 0.0, 0.0, 2.0)
     geometry = unloaded_geometry(model)
-    assert widening_reason(to_grey(references(model)[0]), geometry) == ""
-    reason = widening_reason(to_grey(simulated(model).frame((plate,), 5).image), geometry)
-    assert reason.startswith("the skin seems pressed in the reference: the markers around row 1")
+    assert widening_finding(to_grey(references(model)[0]), geometry) is None
+    found = widening_finding(to_grey(simulated(model).frame((plate,), 5).image), geometry)
+    assert found is not None
+    assert sentence(found).startswith(
+        "the skin seems pressed in the reference: the markers around row 1"
+    )
 
 
 def unloaded_geometry(model: SensorModel) -> Geometry:
@@ -150,4 +154,4 @@ def test_a_dome_without_a_known_camera_is_not_refused() -> None:
     unknown = replace(sensor_of(TACTIP), camera_distance_mm=None)
     geometry = calibrate(unknown, references(TACTIP)).calibration.geometry
     assert geometry.camera_distance_mm is None
-    assert widening_reason(references(TACTIP)[0][..., 0], geometry) == ""
+    assert widening_finding(references(TACTIP)[0][..., 0], geometry) is None
