@@ -6,6 +6,7 @@ Threads: none.
 Other rooms use: `calibrate`, `files.calibration_file`, `files.capture_folder`,
     `files.indenter_file`, `files.labels`, `files.objects_file`, `files.press_table`,
     `files.reference_file`, `files.sensor_file`, `findings`, `indenters`, `inputs`, `loading`,
-    `press_machine`, `presses.press_check`, `presses.press_selection`, `quality`,
-    `reference.pattern`, `reference.references`, `refit`, `sentences`.
+    `press_machine`, `presses.press_check`, `presses.press_selection`,
+    `quality`, `reference.pattern`, `reference.references`, `reference.stillness`,
+    `reference.visible_circle`, `refit`, `sentences`.
 """

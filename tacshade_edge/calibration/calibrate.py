@@ -27,7 +27,7 @@ from tacshade_edge.calibration.quality import (
     assess,
     missing_coverage,
 )
-from tacshade_edge.calibration.reference import pattern
+from tacshade_edge.calibration.reference import pattern, visible_circle
 from tacshade_edge.calibration.reference.marker_field import choose_binarisation
 from tacshade_edge.calibration.reference.references import (
     ASSUMED_NOISE_GREY,
@@ -82,7 +82,9 @@ def calibrate(
     warnings = check_references(
         unloaded, greys, reference_names, allow_loaded=allow_loaded_reference
     )
-    doubt = pattern.stated_circle_doubt if sensor.visible_circle else pattern.found_circle_doubt
+    doubt = visible_circle.found_circle_doubt
+    if sensor.visible_circle:
+        doubt = visible_circle.stated_circle_doubt
     if unsure := doubt(unloaded.reference_grey, unloaded.geometry.disc):
         warnings = (unsure, *warnings)
     if unloaded.pitch_px < FINE_PITCH_PX:
@@ -183,7 +185,7 @@ def _unloaded(sensor: StatedSensor, greys: Sequence[U8]) -> Calibration:
                 f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px as in the first reference"
             )
     mean = pattern.mean_image(greys)
-    disc = pattern.visible_disc(mean, sensor.visible_circle)
+    disc = visible_circle.visible_disc(mean, sensor.visible_circle)
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(
         geometry=Geometry(

@@ -35,12 +35,12 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
 
     Raises ConfigError.
     """
-    calibration = _load(path, store)
+    calibration = _load(path, store=store)
     known = objects_file.load(objects_file.path_beside(path))
     return replace(calibration, known=known) if known else calibration
 
 
-def _load(path: str | os.PathLike[str], store: bool) -> Calibration:
+def _load(path: str | os.PathLike[str], *, store: bool) -> Calibration:
     version = calibration_file.version_of(path)
     inputs = (
         None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)

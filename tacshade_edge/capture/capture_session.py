@@ -17,7 +17,7 @@ from tacshade_edge.calibration.indenters import Indenter
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.presses.press_check import Judgement, PressCheck
 from tacshade_edge.calibration.quality import GRADED_PROFILE
-from tacshade_edge.calibration.reference.references import block_means
+from tacshade_edge.calibration.reference.stillness import block_means
 from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import Name, RobotPlaces
@@ -30,6 +30,7 @@ from tacshade_edge.types import U8, Calibration, Frame
 
 REFERENCES = STILL_FRAMES
 REFERENCES_S = 3.0
+_DEPTH_AND_PLACE = 3  # values that a person types of a press: depth, x, y
 
 _HELP = """  Press the indenter in and hold it, type what it is, then Enter;
   the picture is taken once it stands still:
@@ -260,10 +261,10 @@ class CaptureSession:
                 f"found no press of {indenter} in this run, expected a first press with depth, "
                 "x and y"
             )
-        if len(rest) not in (1, 3):
+        if len(rest) not in (1, _DEPTH_AND_PLACE):
             found = f"found {len(rest)} values after the indenter"
             raise ConfigError(f"{found}, expected 1 (depth) or 3 (depth, x, y), in mm")
-        depth_mm, x_mm, y_mm = rest if len(rest) == 3 else (rest[0], "", "")
+        depth_mm, x_mm, y_mm = rest if len(rest) == _DEPTH_AND_PLACE else (rest[0], "", "")
         columns = (indenter, radius_mm, depth_mm, x_mm, y_mm)
         return stated("press", columns, self.names, self.sensor.skin_radius_mm)
 

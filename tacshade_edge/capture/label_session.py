@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow
-from tacshade_edge.calibration.reference.references import block_means
+from tacshade_edge.calibration.reference.stillness import block_means
 from tacshade_edge.capture.change import ChangeFromRest
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal, rest_grey_of
 from tacshade_edge.capture.robot_place import RobotLabels

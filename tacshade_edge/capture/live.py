@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.calibration.reference.pattern import Pattern, find_pattern, view
-from tacshade_edge.calibration.reference.references import (
+from tacshade_edge.calibration.reference.stillness import (
     REST_MOST_GREY,
     block_means,
     motion_grey,

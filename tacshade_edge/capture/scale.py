@@ -140,6 +140,8 @@ def force_at(at_s: float, t_s: F64, force_n: F64) -> float | None:
 
 RANGE_S, _STEP_S = 1.0, 0.005
 PRESSES_LEAST = 3
+# Fewer frames or readings correlate well by chance.
+_LEAST_POINTS = 5
 _CORRELATION_LEAST = 0.8
 ERROR_MOST_S = 0.05
 
@@ -196,7 +198,7 @@ def _lag_s(press: ScalePress, t_s: F64, force: F64) -> float | None:
     """Return one press's lag in s; None if it correlates too weakly or best at the end
     of the range.
     """
-    if len(press.t_s) < 5 or len(t_s) < 5:
+    if min(len(press.t_s), len(t_s)) < _LEAST_POINTS:
         return None
     lags = np.arange(-RANGE_S, RANGE_S + _STEP_S / 2, _STEP_S)
     seen = press.change - press.change.mean()

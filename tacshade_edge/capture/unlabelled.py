@@ -12,7 +12,7 @@ import numpy as np
 
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.presses.press_check import Judgement
-from tacshade_edge.calibration.reference.references import block_means
+from tacshade_edge.calibration.reference.stillness import block_means
 from tacshade_edge.capture.change import ChangeFromRest, change_grey
 from tacshade_edge.capture.live import STILL_FRAMES, Live, Terminal
 from tacshade_edge.quoting import counted

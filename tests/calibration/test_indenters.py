@@ -12,10 +12,7 @@ from support.examples import examples
 
 from tacshade_edge.calibration import indenters as shapes
 from tacshade_edge.calibration.indenters import (
-    LENGTH_MM,
-    STEM_RADIUS_MM,
     Indenter,
-    Printable,
     bar,
     box,
     cone,
@@ -23,6 +20,11 @@ from tacshade_edge.calibration.indenters import (
     known_height,
     mesh,
     place,
+)
+from tacshade_edge.calibration.printable_indenters import (
+    LENGTH_MM,
+    STEM_RADIUS_MM,
+    Printable,
     planned_presses,
     printables,
 )

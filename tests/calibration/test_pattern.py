@@ -31,13 +31,15 @@ from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.reference.marker_field import choose_binarisation, find_markers
 from tacshade_edge.calibration.reference.pattern import (
     Pattern,
-    find_disc,
     find_pattern,
-    found_circle_doubt,
     marker_pitch_px,
     mean_image,
-    stated_circle_doubt,
     view,
+)
+from tacshade_edge.calibration.reference.visible_circle import (
+    find_disc,
+    found_circle_doubt,
+    stated_circle_doubt,
     visible_disc,
 )
 from tacshade_edge.errors import ConfigError

@@ -14,7 +14,7 @@ import pytest
 
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.presses.press_check import Judgement
-from tacshade_edge.calibration.reference.references import block_means
+from tacshade_edge.calibration.reference.stillness import block_means
 from tacshade_edge.capture import unlabelled
 from tacshade_edge.capture.live import Live, Terminal
 from tacshade_edge.capture.page import Page

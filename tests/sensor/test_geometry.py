@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.calibration.reference.pattern import rim_seen
+from tacshade_edge.calibration.reference.rim import rim_seen
 from tacshade_edge.lab.simulator.render import project
 from tacshade_edge.lab.simulator.truth import pixel_rays
 from tacshade_edge.sensor.geometry import disc_map

@@ -50,6 +50,7 @@ Older factors are ignored.
 """
 REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 TOUCH_BYTES_MAX = 4 << 20
+_IMAGE_AXES = 2  # a grey image has rows and columns, nothing else
 _ALWAYS = ("factors", "fit", "flange_T_sensor")
 _PER_PROFILE = ("presses", "depth_mae_mm", "depth_worst_mm")
 _Shape = list[Annotated[int, Meta(ge=0)]]
@@ -206,7 +207,7 @@ def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
     if version != VERSION:
         meta.pop("rest", None)  # of other networks
     shapes = {array.shape for name, array in arrays.items() if name in REFERENCE_ARRAYS}
-    if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape:
+    if len(shapes) != 1 or len(shape := shapes.pop()) != _IMAGE_AXES or 0 in shape:
         raise ValueError(
             f"found other arrays, expected images of one size in {', '.join(REFERENCE_ARRAYS)}"
         )
@@ -341,7 +342,7 @@ def unpack_inputs(meta: Mapping[str, Any], arrays: Mapping[str, Any]) -> Inputs 
 
 def _inputs(known: _Inputs, files: Any, solids: Any, reference: Any) -> Inputs:
     expected = {
-        f"an image in {_SIZED}": reference.ndim == 2,
+        f"an image in {_SIZED}": reference.ndim == _IMAGE_AXES,
         "an image for each press": len(known.pressed) == len(known.presses),
         f"the bytes of images in {IMAGES}": files.dtype == np.uint8 and files.ndim == 1,
         f"triangles in {TRIANGLES}": solids.dtype == np.float64

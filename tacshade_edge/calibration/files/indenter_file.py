@@ -14,7 +14,8 @@ from msgspec import Meta
 
 from tacshade_edge.calibration import indenters as shapes
 from tacshade_edge.calibration.files.press_table import HEADER
-from tacshade_edge.calibration.indenters import Indenter, planned_presses, printables
+from tacshade_edge.calibration.indenters import Indenter
+from tacshade_edge.calibration.printable_indenters import planned_presses, printables
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.meshes import read_stl, stl_bytes

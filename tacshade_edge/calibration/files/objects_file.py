@@ -90,6 +90,9 @@ def _objects(content: Content) -> Known:
     return {profile: _of_profile(stated[profile], content.arrays[profile]) for profile in counts}
 
 
+_AXES = 2  # touches, numbers of a description
+
+
 def _of_profile(counts: Sequence[tuple[str, int]], touches: Any) -> tuple[KnownObject, ...]:
     names = [name for name, _ in counts]
     if len(set(names)) < len(names) or not 0 < len(names) <= OBJECTS_MAX:
@@ -97,7 +100,7 @@ def _of_profile(counts: Sequence[tuple[str, int]], touches: Any) -> tuple[KnownO
     if wrong := [name for name in names if not _NAME.fullmatch(name)]:
         raise ValueError(f"found the name {shown(wrong[0], 80)}, expected {_EXPECTED}")
     total = sum(count for _, count in counts)
-    if touches.dtype != np.float32 or touches.ndim != 2 or len(touches) != total:
+    if touches.dtype != np.float32 or touches.ndim != _AXES or len(touches) != total:
         raise ValueError(f"expected float32 descriptions of {total} touches")
     if not (touches.shape[1] and np.isfinite(touches).all()):
         raise ValueError("expected finite numbers in each description")

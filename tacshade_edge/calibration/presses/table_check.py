@@ -243,7 +243,7 @@ def zero_hint(
     if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):
         return None
     code = FindingCode.DEPTHS_TOO_GREAT if offset > 0 else FindingCode.DEPTHS_TOO_SMALL
-    return finding(code, by_mm=abs(offset) * scale)
+    return finding(code, by_mm=float(abs(offset) * scale))
 
 
 def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:

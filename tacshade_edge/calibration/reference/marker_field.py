@@ -32,6 +32,9 @@ _LEAST_FILLED = 0.7
 # of them. A marker that the rim cuts may seem to lie outside by up to this many pitches (0.12 in
 # the simulator).
 _HELD_PART, _CUT_PITCHES, _SAMPLES = 0.985, 0.25, 41
+_HALF_PX = 0.5
+# A smaller image has no room for a marker and its neighbours.
+_LEAST_PX = 16
 _HEXAGON = 3**0.5 / 2
 """Area of a lattice cell, in squared pitches."""
 
@@ -62,7 +65,9 @@ class MarkerField:
         rows, cols = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
         unit = np.stack((rows, cols), axis=1)[np.hypot(rows, cols) <= 1]
         places = np.array((disc.row_c, disc.col_c)) + disc.radius_px * unit
-        places = places[((places >= -0.5) & (places <= np.array(shape[:2]) - 0.5)).all(axis=1)]
+        # Pixel centres are whole numbers, so an image reaches half a pixel beyond them.
+        first, last = -_HALF_PX, np.array(shape[:2]) - _HALF_PX
+        places = places[((places >= first) & (places <= last)).all(axis=1)]
         if not len(places):
             return 0.0
         from scipy.spatial import cKDTree  # a daemon that takes no reference does not need it
@@ -76,7 +81,7 @@ def find_markers(grey: U8) -> MarkerField | None:
     None if there is none.
     """
     scale = min(grey.shape) / _SEARCH_PX
-    if min(grey.shape) < 16:
+    if min(grey.shape) < _LEAST_PX:
         return None
     method = cv2.INTER_AREA if scale > 1 else cv2.INTER_CUBIC
     small = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=method).astype(

@@ -1,6 +1,4 @@
-"""Make a reference from images of the unloaded skin, and check it, most of all for a load: a free
-skin is alike all around its centre and changes smoothly outwards.
-"""
+"""Make a reference from images of the unloaded skin, check it, and follow it as light ages."""
 
 from __future__ import annotations
 
@@ -12,7 +10,8 @@ import cv2
 import numpy as np
 
 from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode, finding
-from tacshade_edge.calibration.reference import pattern, spacing
+from tacshade_edge.calibration.reference import pattern
+from tacshade_edge.calibration.reference.pressed_skin import load_finding
 from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -20,23 +19,13 @@ from tacshade_edge.sensor.contact.gate import GATE_MM2, ContactGate
 from tacshade_edge.sensor.frame_check import camera_drift, picture, plain_judges
 from tacshade_edge.sensor.frame_check.camera_drift import Drift
 from tacshade_edge.sensor.frame_check.picture import DRIFT_LEVELS
-from tacshade_edge.sensor.geometry.disc import Grid, disc_mask, radius_squared
-from tacshade_edge.sensor.geometry.disc_map import skin_scale
+from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.sensor.image import greyscale
 from tacshade_edge.sensor.image.preprocess import Preprocessor
-from tacshade_edge.sensor.image.white import eighth, squares
+from tacshade_edge.sensor.image.white import eighth
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.types import F32, U8, Bool, Calibration, Disc, Polarity
+from tacshade_edge.types import U8, Calibration, Disc, Polarity
 
-# A patch is a load if it differs from its ring by this much (grey levels, and deviations of the
-# disc, because a fine pattern makes every ring uneven), is this large (mm² on the nominal skin) and
-# alone: a square lattice makes four such patches, a quarter turn apart.
-# tools/studies/calibration.py measures what this finds, rightly and wrongly.
-LOAD_GREY, LOAD_DEVIATIONS, LOAD_MM2 = 22.0, 3.5, 9.0
-# A load in the middle is alike all around too, but bends the radial profile (second difference over
-# two rings). The outer rings are left out: light at the rim brightens and bends them without a
-# load.
-RINGS, MIDDLE_RINGS, LOAD_BEND_GREY = 12, 10, 22.0
 PROFILE = replace(PROFILES["accurate"], name="calibration", tv_weight=0.05, network=None)
 """Profile of the maps that compare references and presses:
 of whole images, and without a network.
@@ -54,72 +43,6 @@ _WORN_CONTRAST = 0.6
 # TacTips, simulated and real, 0.55 at most on others (0.19 to 0.55 on square lattices, below 0 on
 # hexagonal ones).
 _MIDDLE, _RING_WIDTH, _WHITE_PINS = 0.5, 0.25, 0.63
-
-
-def load_finding(preprocessor: Preprocessor) -> CalibrationFinding | None:
-    """What shows that the reference was taken under load; None if nothing does.
-
-    The ratio of white shows objects that press between markers,
-    the spacing of the markers wide ones.
-    """
-    g0, voting, geometry = (
-        preprocessor.reference_g,
-        preprocessor.voting,
-        preprocessor.calibration.geometry,
-    )
-    grid, disc = preprocessor.grid, geometry.disc
-    rho2 = radius_squared(grid, disc)
-    residual = ring_residual(g0, rho2, voting)
-    deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
-    threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
-    elsewhere = np.median(
-        [quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0
-    )
-    lone = (np.abs(residual) > threshold) & (np.abs(residual - elsewhere) > threshold)
-    area_mm2 = float(np.count_nonzero(lone)) * preprocessor.cell_mm2
-    if area_mm2 >= LOAD_MM2 * skin_scale(geometry) ** 2:
-        return finding(FindingCode.PRESSED_PATCH, area_mm2=area_mm2)
-    if (bend := radial_bend(g0, rho2, voting)) > LOAD_BEND_GREY:
-        return finding(FindingCode.PRESSED_CENTRE, bend_grey=bend)
-    return spacing.widening_finding(preprocessor.calibration.reference_grey, geometry)
-
-
-def ring_residual(g0: F32, rho2: F32, voting: Bool) -> F32:
-    """g_0 less its median on each of 12 rings around the centre; 0 where `voting` is False."""
-    rings = np.minimum((np.sqrt(rho2) * RINGS).astype(int), RINGS)
-    residual: F32 = np.zeros_like(g0)
-    for ring in range(RINGS + 1):
-        cells = (rings == ring) & voting
-        if cells.any():
-            residual[cells] = g0[cells] - np.median(g0[cells])
-    return residual
-
-
-def quarter_turned(values: F32, grid: Grid, disc: Disc, turns: int) -> F32:
-    """The values `turns` quarter turns around the disc's centre from each cell;
-    beyond the grid, its border's.
-    """
-    rows = (grid.row0 + grid.step_px * np.arange(grid.rows))[:, None] - disc.row_c
-    cols = (grid.col0 + grid.step_px * np.arange(grid.cols))[None, :] - disc.col_c
-    for _ in range(turns):
-        rows, cols = -cols, rows
-    i = np.rint((rows + disc.row_c - grid.row0) / grid.step_px).astype(int)
-    j = np.rint((cols + disc.col_c - grid.col0) / grid.step_px).astype(int)
-    turned: F32 = values[np.clip(i, 0, grid.rows - 1), np.clip(j, 0, grid.cols - 1)]
-    return turned
-
-
-def radial_bend(g0: F32, rho2: F32, voting: Bool) -> float:
-    """Greatest second difference, over two rings, of the radial profile of g_0 in the middle,
-    from soft rings.
-    """
-    rho, profile = np.sqrt(rho2) * RINGS, []
-    for ring in range(MIDDLE_RINGS):
-        weight = np.maximum(1.5 - np.abs(rho - ring), 0) * voting
-        if weight.any():
-            profile.append(float((weight * g0).sum() / weight.sum()))
-    mean = np.array(profile)
-    return float(np.abs(mean[:-4] - 2 * mean[2:-2] + mean[4:]).max(initial=0.0))
 
 
 def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration:
@@ -264,37 +187,6 @@ def rezero(
     if not allow_loaded and (load := load_finding(Preprocessor(renewed, PROFILE))):
         raise ConfigError(f"rejected the reference: {sentence(load)}")
     return renewed
-
-
-# Side of a block: its mean reduces noise to an eighth, but hardly reduces a shift of the pattern.
-BLOCK_PX = 8
-# Something moves if the change exceeds that of the resting skin by this factor and these grey
-# levels: 0.05 mm of a ball's travel causes 5 to 18 levels, rest 2.2 to 3.4 (five simulated sensors,
-# 640x480, 20 frames).
-_REST_FACTOR, _REST_GREY = 1.3, 0.5
-REST_MOST_GREY = 8.0
-"""Grey levels above the `motion_grey` of any usable camera at rest."""
-
-
-def block_means(grey: U8) -> F32:
-    """Means over blocks of a grey image of at least 8 x 8: (H // 8, W // 8)."""
-    return squares(grey, BLOCK_PX)[0]
-
-
-def motion_grey(blocks: Sequence[F32]) -> float:
-    """Change over time of the block that changed most, less the change shared by all,
-    over `block_means` of images.
-    """
-    change = np.stack(blocks) - blocks[0]
-    change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
-    return float((change.max(axis=0) - change.min(axis=0)).max())
-
-
-def stands_still(motion: float, rest: float) -> bool:
-    """Whether a `motion_grey` is that of a still image,
-    given that of the untouched skin over as many images.
-    """
-    return motion <= _REST_FACTOR * rest + _REST_GREY
 
 
 # An area as large as the gate requires may differ by this much from the origin, less the common

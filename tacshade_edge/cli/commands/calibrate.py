@@ -25,8 +25,8 @@ from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.indenters import skin_z_mm
 from tacshade_edge.calibration.inputs import ContradictionError, KnownPress
 from tacshade_edge.calibration.press_machine import from_travel
-from tacshade_edge.calibration.reference.pattern import CircleNotFoundError
 from tacshade_edge.calibration.reference.references import rezero
+from tacshade_edge.calibration.reference.visible_circle import CircleNotFoundError
 from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
 from tacshade_edge.cli.shared.options import add_flag, add_option, need

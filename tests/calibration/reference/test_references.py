@@ -29,14 +29,12 @@ from tacshade_edge.calibration.reference.references import (
     Distance,
     Followed,
     beyond,
-    block_means,
     bounds,
     follow,
     g_change,
-    motion_grey,
     rezero,
-    stands_still,
 )
+from tacshade_edge.calibration.reference.stillness import block_means, motion_grey, stands_still
 from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.simulator import camera_faults
