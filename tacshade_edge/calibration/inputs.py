@@ -4,39 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 from tacshade_edge.calibration.indenters import Indenter, Placed, place, stated_ball
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import IDENTITY_POSE, U8, Binarisation, Disc, Polarity
-
-InputFile = Literal["SENSOR.yaml", "PRESSES.csv"]
-
-
-@dataclass(frozen=True, slots=True)
-class Contradiction:
-    """A key of an input file that the images contradict, and what they show instead."""
-
-    file: InputFile
-    key: str
-    problem: str
-
-    def __str__(self) -> str:
-        return f"{self.file}: {self.key}: {self.problem}"
-
-
-class ContradictionError(ConfigError):
-    """Images contradict an input so much that no calibration is possible."""
-
-    def __init__(self, *contradictions: Contradiction) -> None:
-        super().__init__("; ".join(map(str, contradictions)))
-        self.contradictions = contradictions
-
-    def with_paths(self, sensor: object, presses: object) -> ConfigError:
-        """The same error with the files' own paths in place of their usual names."""
-        paths = {"SENSOR.yaml": sensor, "PRESSES.csv": presses}
-        texts = (f"{paths[one.file]}: {one.key}: {one.problem}" for one in self.contradictions)
-        return ConfigError("; ".join(texts))
 
 
 @dataclass(frozen=True, slots=True)

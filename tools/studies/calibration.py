@@ -359,13 +359,10 @@ def measure(task: tuple[int, bool, int]) -> Measured:
             (*wrong_sets(given, rng), *rezeros(given, result)) if detect else ()
         )
     ]
-    alarms = [
-        f"sensor {seed}: {sentence(said, WITH_OPTIONS)}"
-        for said in (*result.warnings, *result.quality.advice)
-    ]
-    return Measured(
-        alarms, found, quality, [camera_drift.drift(look, press.image) for press in given.presses]
-    )
+    heard = (*result.warnings, *result.quality.advice)
+    alarms = [f"sensor {seed}: {sentence(one, WITH_OPTIONS)}" for one in heard]
+    drifts = [camera_drift.drift(look, press.image) for press in given.presses]
+    return Measured(alarms, found, quality, drifts)
 
 
 def report(measured: Sequence[Measured]) -> str:

@@ -22,7 +22,6 @@ from tacshade_edge.calibration.findings import (
     finding,
 )
 from tacshade_edge.calibration.indenters import ball_height_along, stated_ball
-from tacshade_edge.calibration.inputs import Contradiction
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.sensor.depth.learned import scale_mm
 from tacshade_edge.types import Geometry

@@ -22,7 +22,6 @@ from tacshade_edge.calibration.findings import (
     finding,
 )
 from tacshade_edge.calibration.indenters import Placed
-from tacshade_edge.calibration.inputs import Contradiction, ContradictionError
 from tacshade_edge.calibration.observation import PressObservation, with_stated_place
 from tacshade_edge.calibration.sentences import FindingError
 from tacshade_edge.sensor.geometry.disc_map import skin_scale

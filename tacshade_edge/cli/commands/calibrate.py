@@ -23,7 +23,7 @@ from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
 from tacshade_edge.calibration.files.press_table import read_presses
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.indenters import skin_z_mm
-from tacshade_edge.calibration.inputs import ContradictionError, KnownPress
+from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.press_machine import from_travel
 from tacshade_edge.calibration.reference.references import rezero
 from tacshade_edge.calibration.reference.visible_circle import CircleNotFoundError
