@@ -68,25 +68,16 @@ def exact_threshold(grey: U8, mask: U8, pitch_px: float) -> F64:
 @given(
     st.integers(1, 45),
     st.integers(1, 45),
-    st.floats(-10, 50),
-    st.floats(-10, 50),
-    st.floats(1, 40),
+    st.builds(Disc, st.floats(-10, 50), st.floats(-10, 50), st.floats(1, 40)),
     st.floats(1, 20),
     st.sampled_from(["noise", "checkerboard", "step", "constant", "extremes"]),
     st.integers(0, 2**32 - 1),
 )
 def test_the_threshold_is_the_exact_one_within_its_bound(
-    height: int,
-    width: int,
-    row_c: float,
-    col_c: float,
-    radius: float,
-    pitch: float,
-    kind: str,
-    seed: int,
+    height: int, width: int, disc: Disc, pitch: float, kind: str, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    mask = disc_mask(height, width, Disc(row_c, col_c, radius)).astype(np.uint8)
+    mask = disc_mask(height, width, disc).astype(np.uint8)
     rows, cols = np.indices((height, width))
     grey = {
         "noise": rng.integers(0, 256, mask.shape),
