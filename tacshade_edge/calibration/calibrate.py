@@ -117,6 +117,7 @@ def _fitted(
 ) -> CalibrationResult:
     """The calibration that the selected presses give, with the warnings that are due to them."""
     geometry = unloaded.geometry
+    # After the selection, which may have found another polarity, with which the maps are made.
     scaled = with_paper_scale(replace(unloaded, polarity=selection.polarity), selection.presses)
     refits = _refits(scaled, selection, networks)
     fit = Fit(
@@ -167,6 +168,7 @@ def _graded_doubts(
         return doubts
     # A fit to labels that contradict each other learns their errors.
     agree = agreement_mm <= AGREEMENT_FAIR_MM * skin_scale(geometry)
+    # Nor does it help against a wrong SENSOR.yaml: the twin would be of another sensor.
     is_exact = agree and not (zero or selection.wrong_keys)
     code = FindingCode.FITTABLE_ERRORS if is_exact else FindingCode.UNUSUAL_ERRORS
     return (*doubts, finding(code, factor=graded.error_scale))
@@ -200,6 +202,7 @@ def _unloaded(sensor: StatedSensor, greys: Sequence[U8]) -> Calibration:
         image_height_px=mean.shape[0],
         image_width_px=mean.shape[1],
         pitch_px=pitch_px,
+        # `with_reference` replaces it: binarising needs a calibration's circle and pitch.
         reference_white=np.zeros_like(mean),
         reference_grey=mean,
         noise_grey=ASSUMED_NOISE_GREY,

@@ -90,6 +90,7 @@ class PlacedIndenter:
         """
         if math.isinf(skin_radius_mm):
             return self.depth_mm + float(self.triangles_mm[..., 2].min())
+        # A copy, because the loop below moves it in place.
         lifted, travel = self.triangles_mm + 0.0, 0.0
         for _ in range(_TOUCH_STEPS):
             x, y, z = _nearest(lifted)[0]
@@ -195,6 +196,7 @@ def place(
     about_z = np.array(((math.cos(a), -math.sin(a), 0), (math.sin(a), math.cos(a), 0), (0, 0, 1)))
     about_x = np.array(((1, 0, 0), (0, math.cos(b), -math.sin(b)), (0, math.sin(b), math.cos(b))))
     about_y = np.array(((math.cos(c), 0, math.sin(c)), (0, 1, 0), (-math.sin(c), 0, math.cos(c))))
+    # Row vectors, hence the transpose: yaw comes first, then the tilts.
     turned = indenter.triangles_mm @ (about_y @ about_x @ about_z).T
     z_mm = skin_z_mm(skin_radius_mm, x_mm, y_mm) - depth_mm - float(turned[..., 2].min())
     return PlacedIndenter(x_mm, y_mm, depth_mm, turned + np.array((x_mm, y_mm, z_mm)))
@@ -214,6 +216,8 @@ def ball_along(skin_radius_mm: float, along: F64, depth_mm: float, radius_mm: fl
     if math.isinf(skin_radius_mm):
         return stated_ball(skin_radius_mm, float(along[0]), float(along[1]), depth_mm, radius_mm)
     reach = skin_radius_mm - depth_mm + radius_mm
+    # The depth counts from the skin under (x, y), which moves with the reach, so iterate to the
+    # fixed point.
     for _ in range(8):
         reach = (
             stated_ball(
@@ -302,6 +306,7 @@ def _nearest(triangles: F64, *, of_each: bool = False) -> F64:
         candidates.append(p + _share(p, q)[:, None] * (q - p))
     points = np.stack(candidates)
     distance2 = np.einsum("kij,kij->ki", points, points)
+    # The foot of the perpendicular counts only inside its triangle; else an edge is nearest.
     distance2[0, beside] = np.inf
     each: F64 = points[np.argmin(distance2, axis=0), np.arange(len(a))]
     return each if of_each else each[[int(np.argmin(distance2.min(axis=0)))]]

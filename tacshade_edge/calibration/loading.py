@@ -41,6 +41,7 @@ def load(path: str | os.PathLike[str], *, store: bool = True) -> Calibration:
 
 
 def _load(path: str | os.PathLike[str], *, store: bool) -> Calibration:
+    # The version alone first: the rest of another version's file may not even be readable.
     version = calibration_file.version_of(path)
     inputs = (
         None if version in (None, calibration_file.VERSION) else calibration_file.inputs_in(path)
@@ -109,6 +110,7 @@ def _can_run(profile: str, fitted: FittedNetwork) -> bool:
 
 
 def _stored(path: Path, made: Calibration, inputs: Inputs, version: int) -> Calibration:
+    # The old file stays: an older version of the program can read only that.
     kept = path.with_name(f"{path.stem}.v{version}{path.suffix}")
     try:
         write_whole(kept, path.read_bytes())

@@ -50,6 +50,7 @@ def screened_poisson(change: F32, reach_cells: float) -> F32:
 
 def _within_disc(change: F32, reach_cells: float) -> F32:
     """ψ of a change inside a disc: pads the window with zeros and clips rounding errors below 0."""
+    # A mirrored border would count a change at the rim twice; two reaches of zeros keep it away.
     m = 2 * math.ceil(reach_cells)
     return np.maximum(screened_poisson(np.pad(change, m), reach_cells)[m:-m, m:-m], 0)
 
@@ -133,6 +134,7 @@ def observe_press(
     change = screened_change(maps, reach)
     bright = screened_brightening(maps, reach)
     brightest = np.unravel_index(int(np.argmax(bright)), bright.shape)
+    # The brightest skin lies about as deep as stated, so its ray meets the dome further in.
     height = np.full(change.shape, press.depth_mm, dtype=np.float32)
     located = skin_points(height, preprocessor.rays, geometry)[brightest]
     made = PressObservation(

@@ -36,6 +36,8 @@ def with_paper_scale(calibration: Calibration, presses: Sequence[KnownPress]) ->
         ]
     )
     mean_mm = float(depths_mm.mean())
+    # The median, so that a press with a false depth does not move the scale of all.
     grey = mean_mm * float(np.median(changes / depths_mm))
+    # α multiplies the h of eq. 11, of which the greatest is 1, and gives px.
     alpha = mean_mm / calibration.geometry.mm_per_px
     return replace(calibration, alpha=alpha, alpha_grey=min(grey, _GREY_MAX))

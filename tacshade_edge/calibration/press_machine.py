@@ -24,7 +24,9 @@ def from_travel(press: KnownPress, skin_radius_mm: float) -> KnownPress:
     """
     r = skin_radius_mm
     if math.isinf(r):
+        # A pad lies flat: travel from first touch is the depth at (x, y) already.
         return press
+    # From a depth that certainly touches, because `first_touch_mm` moves the indenter outwards.
     first_mm = replace(press, depth_mm=r / 2).placed(r).first_touch_mm(r)
     if not math.hypot(press.x_mm or 0.0, press.y_mm or 0.0) < r:
         expected = f"expected a place within the skin's radius of {r:g} mm"
@@ -58,6 +60,7 @@ class FixedIndenter:
         degrees.
         """
         turn = self.base_T_sensor.rotation.T @ base_T_sensor.rotation
+        # Rounding may carry the cosine beyond 1, where acos fails.
         return math.degrees(math.acos(min(max((float(np.trace(turn)) - 1) / 2, -1.0), 1.0)))
 
     def touch(self, base_T_sensor: Rigid, skin_radius_mm: float) -> TouchPoint:

@@ -83,10 +83,13 @@ def planned_presses() -> tuple[Planned, ...]:
     presses = []
     for which, name in enumerate(names):
         for turn in range(len(_DEPTHS_MM)):
+            # Neighbours of the spiral go to different indenters, so each covers the whole disc.
             k = which + len(names) * turn
             rho_mm = _REACH_MM * math.sqrt((k + 0.5) / count)
             x_mm, y_mm = (
-                round(rho_mm * part, 1) for part in (math.cos(k * golden), math.sin(k * golden))
+                # A stage is set to 0.1 mm.
+                round(rho_mm * part, 1)
+                for part in (math.cos(k * golden), math.sin(k * golden))
             )
             presses.append(
                 Planned(name, x_mm, y_mm, _DEPTHS_MM[(turn + 2 * which) % len(_DEPTHS_MM)])

@@ -63,6 +63,7 @@ def _missing_places(places: F64, geometry: Geometry) -> CalibrationFinding | Non
         x_mm, y_mm = (round(float(v)) for v in middle)
         return finding(FindingCode.CLOSE_TOGETHER, x_mm=x_mm, y_mm=y_mm, reach_mm=reach_mm)
     low, high = places.min(axis=0), places.max(axis=0)
+    # By the axes, because a person sets a stage along them.
     extremes = {"x < 0": -low[0], "x > 0": high[0], "y < 0": -low[1], "y > 0": high[1]}
     sides = [side for side, most_mm in extremes.items() if most_mm < _SIDE_RHO * visible_mm]
     return finding(FindingCode.EMPTY_SIDES, sides=sides, reach_mm=reach_mm) if sides else None

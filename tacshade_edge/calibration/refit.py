@@ -90,6 +90,7 @@ def known_cells(inverse: Inverse, geometry: Geometry, placed: Placed) -> tuple[F
     height, truth = inverse.height_mm, known_height(geometry, placed, len(inverse.height_mm))
     scale = skin_scale(geometry)
     use = (inverse.contact_logit > 0) & np.isfinite(height)
+    # Near the edge of a contact both are close to 0, and their ratio is noise.
     use &= (height > LEAST_FOUND_MM * scale) & (np.nan_to_num(truth) > LEAST_TRUE_MM * scale)
     return truth, use
 
@@ -101,6 +102,7 @@ def fit_factor(presses: Sequence[tuple[float, float]]) -> float | None:
     if len(presses) < LEAST_PRESSES:
         return None
     squares, factors = np.array(presses).T
+    # Logarithms, so that twice and half as much are errors of one size.
     logs = np.log(np.maximum(factors, np.finfo(float).tiny))
     middle = _weighted_quantile(logs, squares, 0.5)
     deviation = max(
@@ -112,6 +114,7 @@ def fit_factor(presses: Sequence[tuple[float, float]]) -> float | None:
         )
         middle = float(weight @ logs / weight.sum())
     effective_presses = float(weight.sum() ** 2 / (weight @ weight))
+    # m² stands for the prior's variance, so the shrunk mean is m · m² / (m² + doubt).
     doubt = SHAPE_DEVIATION**2 + deviation**2 / effective_presses
     return min(max(math.exp(middle**3 / (middle**2 + doubt)), FACTOR_RANGE[0]), FACTOR_RANGE[1])
 
@@ -149,6 +152,7 @@ def press_q(presses: Sequence[F64]) -> float:
     """The 90 % quantile of the presses' errors, in half widths of the 90 % interval of scale 1;
     above 0.
     """
+    # By presses rather than cells: a deep press has many times the cells of a shallow one.
     errors = np.concatenate(presses)
     weights = np.concatenate([np.full(len(each), 1 / len(each)) for each in presses])
     return max(_weighted_quantile(errors, weights, 0.9) / INTERVAL_90, 1e-3)
@@ -260,6 +264,7 @@ def _errors_in_sigma(
 ) -> F64:
     """|error| over σ of scale 1 of a press, at the cells of `known_cells` inside the image."""
     inverse = press.inverse
+    # As in a reconstructed frame: at least 0, and none outside the image.
     height = np.where(
         inside, np.maximum(np.nan_to_num(inverse.height_mm * np.float32(factor)), 0), 0
     )

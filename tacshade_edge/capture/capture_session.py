@@ -63,6 +63,7 @@ class CaptureSession:
         self._taken, self._planned = self.folder.taken(), tuple(self.plan)
         self._again: list[Stated] = []  # presses to suggest before the plan's: rejected or undone
         for one in self._taken:
+            # A run that continues must not suggest what an earlier one took.
             if one.stated in self.plan:
                 self.plan.remove(one.stated)
 
@@ -73,7 +74,10 @@ class CaptureSession:
         Raises InputEnded, DeviceError, ConfigError (the folder keeps what was taken before).
         """
         images = self.folder.references()
+        # An interrupted run may have left fewer; presses need the references that they are judged
+        # by.
         unloaded = self._checked_again(images) if len(images) >= REFERENCES else None
+        # Before rest and touches: they are judged by the references.
         self._use(unloaded or self._take_references())
         typed = self._unlabelled.take_missing()
         while True:
@@ -139,7 +143,9 @@ class CaptureSession:
                         "  or state visible_circle in SENSOR.yaml: the page shows rows and columns"
                     )
                 continue
+            # Only after they were accepted, so that refused ones never replace good ones.
             self.folder.write_references(images)
+            # They belong to the old references: lens, light or circle may have changed since.
             self.folder.forget_rest()
             self.folder.forget_touches()
             self.terminal.say(
@@ -152,6 +158,7 @@ class CaptureSession:
 
         Raises ConfigError if the images cannot serve as references.
         """
+        # Before the calibration, which a moving picture would make fail for a reason that misleads.
         rest_grey = rest_grey_of([block_means(to_grey(image)) for image in images])
         result = calibrate(self.sensor, images)
         for warning in result.warnings:
@@ -182,9 +189,8 @@ class CaptureSession:
             return
         self.folder.remove(self._taken, chosen[0])
         self._taken = [one for one in self._taken if one is not chosen[0]]
-        if (
-            not self._at_robot()
-        ):  # the robot may have moved since: the next press needs its new pose
+        # A robot may have moved since: then the next press needs its new pose.
+        if not self._at_robot():
             (self.plan if chosen[0].stated in self._planned else self._again).insert(
                 0, chosen[0].stated
             )
@@ -195,13 +201,16 @@ class CaptureSession:
 
         Raises ConfigError (it is stated wrongly, or `calibrate` would not use its picture).
         """
+        # Words first: a press that is stated wrongly must not make the person wait for a picture.
         asked = self._asked(words)
         if (frame := self.live.still_frame()) is None:
             return
+        # Only now, because the robot's pose must be that of this frame.
         press = asked if isinstance(asked, Stated) else self._stated_by_robot(asked, frame)
         image = np.array(frame.image)
         if press is asked and press not in (*self._again, *self.plan):
-            self._again[:1] = [press]  # until it is taken, in place of one that was undone
+            # Suggested until it is taken, in place of one that was undone.
+            self._again[:1] = [press]
         look = self._check.look(image)
         judged = self._check.judge(look)
         if judged.unusable:
@@ -211,6 +220,7 @@ class CaptureSession:
             raise ConfigError(f"{judged.moved} since the references were taken: {fix}")
         if not judged.in_contact:
             raise ConfigError("nothing touches the skin in the picture")
+        # Judged before it is written: `calibrate` would leave it out without a chance to repeat it.
         added = self.folder.add(self._taken, image, press)
         self._taken = [*self._taken, added]
         for suggested in (self._again, self.plan):
@@ -218,6 +228,7 @@ class CaptureSession:
                 suggested.remove(press)
         warning = f"; {judged.changed} since the references were taken" if judged.changed else ""
         self.terminal.say(f"  {added.image}: {press}{warning}")
+        # Asked, not refused: small balls may look larger than they are.
         if question := self._check.question(
             look, known_press(added.image, image, press.row(), self.names)
         ):
@@ -274,6 +285,7 @@ class CaptureSession:
             return BALL, words[1] if len(words) > 1 else "", words[2:]
         if words[0] in self.names:
             return words[0], "", words[1:]
+        # Numbers alone mean the same indenter again; anything else is a name that nobody knows.
         if not words[0].replace(".", "").replace("-", "").isdigit():
             raise ConfigError(
                 f"indenter: found {words[0]!r}, expected {' or '.join((BALL, *sorted(self.names)))}"

@@ -20,6 +20,7 @@ class ChangeFromRest:
     """Compares block means (H // 8, W // 8) of pictures with those of some pictures at rest."""
 
     def __init__(self, rest: Sequence[F32]) -> None:
+        # A mean has less noise than any picture, so a change from it is that of the new picture.
         self._rest: F32 = np.mean(rest, axis=0)
         self._at_rest_grey = max(self.grey(one) for one in rest)
 
@@ -39,5 +40,6 @@ class ChangeFromRest:
 
 def change_grey(blocks: F32, before: F32) -> float:
     """Mean change between two pictures, without the change that all blocks share (the light)."""
+    # The median, as a contact covers less than half of the blocks and light changes all.
     change = blocks - before
     return float(np.abs(change - np.median(change)).mean())

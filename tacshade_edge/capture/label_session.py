@@ -25,8 +25,10 @@ from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import QUANTITIES, Frame
 
 _REST_S = 3.0
-_KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100  # frames kept of one press
-_POSE_NS = 200_000_000  # the first pose after a frame has arrived by then
+# Of one press: neighbouring frames show nearly the same, and fill the disk.
+_KEPT_EVERY_NS, _KEPT_MAX = 100_000_000, 100
+# The first pose after a frame has arrived by then; a pose between two is interpolated.
+_POSE_NS = 200_000_000
 _NO_IMAGE = np.zeros((1, 1), np.uint8)
 _FORCE = "force_z_n"
 
@@ -70,6 +72,8 @@ class LabelSession:
             )
         self._take_rest()
         while True:
+            # Above all numbers of the folder: two presses in one group would count as one in cross-
+            # validation.
             group = str(
                 max((int(row.group) for row in self._rows if row.group.isdecimal()), default=0) + 1
             )
@@ -97,6 +101,7 @@ class LabelSession:
                 f"Make sure that nothing touches the skin{load}; Enter takes "
                 f"rest{' and tare' if self.scale else ''}."
             )
+            # The tare is of readings from now on: before, something may have lain on the scale.
             since_s = time.monotonic()
             blocks = [
                 block_means(to_grey(one.image)) for one in self.live.frames(STILL_FRAMES, _REST_S)
@@ -128,6 +133,7 @@ class LabelSession:
             return
         if (frame := self.live.still_frame()) is None:
             return
+        # A typed reading wins over the robot's: the person had a reason to type it.
         known = {**self._robot_labels(frame), **known}
         self._keep(
             [LabelRow(self.folder.add_image(np.array(frame.image)), known, group, frame.t_ns)]
@@ -152,12 +158,14 @@ class LabelSession:
             if self.scale is not None:
                 self.scale.check()
             blocks = block_means(to_grey(frame.image))
+            # Frames without contact too: the rise and fall are what the clock offset is found by.
             seen.append((frame.t_ns / 1e9, self._rest.grey(blocks)))
             due = not rows or frame.t_ns - (rows[-1].t_ns or 0) >= _KEPT_EVERY_NS
             if self._rest.in_contact(blocks) and due and len(rows) < _KEPT_MAX:
                 rows.append(
                     LabelRow(self.folder.add_image(np.array(frame.image)), {}, group, frame.t_ns)
                 )
+                # Without its picture: a long press would hold 100 of them in memory.
                 held.append(replace(frame, image=_NO_IMAGE))
             while held and frame.t_ns - held[0].t_ns > _POSE_NS:
                 posed.append(self._robot_labels(held.popleft()))
@@ -196,12 +204,14 @@ class LabelSession:
         group = self._rows[-1].group
         removed = [row for row in self._rows if row.group == group]
         self._rows = [row for row in self._rows if row.group != group]
+        # It must no longer count for the clock offset either.
         self._presses.pop(group, None)
         self.folder.write(self._with_force(), removed)
         self.terminal.say(f"  removed press {group}: {counted(len(removed), 'picture')}")
 
     def _keep(self, rows: Sequence[LabelRow]) -> None:
         self._rows += rows
+        # Each time anew: another press makes the clock offset, and so every force, more exact.
         written = self._with_force()
         self.folder.write(written)
         names = ", ".join(
@@ -251,6 +261,7 @@ class LabelSession:
             return
         self.terminal.say(f"scale: subtracted the tare of {self._tare_n:.4f} N")
         offset = self._offset()
+        # Even without an offset: typed and the robot's labels are kept.
         self.folder.write(self._with_force())
         if offset is None:
             raise DeviceError(

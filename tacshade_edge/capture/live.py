@@ -51,6 +51,7 @@ class Terminal:
 
     def line(self) -> str | None:
         """Return the next typed line, stripped; None if there is none yet. Raises InputEnded."""
+        # Never block here: frames must go on being read, or the driver's queue fills with old ones.
         if b"\n" not in self._typed and select.select([self._descriptor], [], [], 0)[0]:
             data = os.read(self._descriptor, 4096)
             if not data:
@@ -59,6 +60,7 @@ class Terminal:
         line, end, rest = self._typed.partition(b"\n")
         if not end:
             return None
+        # The person's Enter has moved the cursor on, so there is nothing left to clear.
         self._typed, self._shown = rest, ""
         return line.decode(errors="replace").strip()
 
@@ -92,12 +94,17 @@ class Terminal:
 # The picture counts as still after `STILL_S` without motion,
 # judged from as many frames as motion at rest is.
 STILL_S, STILL_FRAMES = 0.8, 10
-_LEAST_FRAMES = 5  # if a slow camera delivers fewer in `STILL_S`, a longer time is compared
+# If a slow camera delivers fewer in `STILL_S`, a longer time is compared.
+_LEAST_FRAMES = 5
+# Enough for `STILL_S` at 80 frames a second.
 _PAST_FRAMES = 64
+# People cannot read figures that change faster, and encoding a JPEG costs frames.
 _FIGURES_S, _PICTURE_S = 0.5, 0.2
 # Finding the circle takes up to a second on a small board.
 _PATTERN_S = 4.0
+# A hand needs a few seconds to hold still; a hint before that would only hurry it.
 _HINT_S = 5.0
+# A bad frame is skipped; a camera that sends as many in a row does not recover by itself.
 _UNUSABLE_MAX = 100
 
 
@@ -122,14 +129,12 @@ class Live:
     terminal: Terminal
     page: Page
     circle: Disc | None  # that SENSOR.yaml states; None to find it in the picture
-    rest_grey: float = (
-        0.0  # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
-    )
+    # `motion_grey` of the `STILL_FRAMES` frames taken at rest; 0 before that
+    rest_grey: float = 0.0
 
     def __post_init__(self) -> None:
-        self._past: deque[tuple[int, F32]] = deque(
-            maxlen=_PAST_FRAMES
-        )  # time in ns and block means of past frames
+        # Time in ns and block means of past frames: a sixteenth of what grey frames would take.
+        self._past: deque[tuple[int, F32]] = deque(maxlen=_PAST_FRAMES)
         self._pattern: Pattern | None = None
         self._no_pattern = "looking for the disc"
         self._looking = False  # whether the person may be adjusting lens and circle
@@ -176,6 +181,7 @@ class Live:
 
         Raises as `frame`.
         """
+        # Frames from before the question show how the indenter came, not how it is held.
         self._past.clear()
         began_s, hinted = time.monotonic(), False
         while True:
@@ -211,6 +217,7 @@ class Live:
         taken = [self.frame()]
         while len(taken) < count:
             frame = self.frame()
+            # By the frames' own times, because reading may lag behind the camera.
             if (frame.t_ns - taken[0].t_ns) / 1e9 >= seconds * len(taken) / (count - 1):
                 taken.append(frame)
         return taken
@@ -228,6 +235,7 @@ class Live:
             recent = [blocks for _, blocks in self._past][-_LEAST_FRAMES - 1 :]
         if len(recent) == len(self._past) < _PAST_FRAMES:
             return None  # the frames do not reach back far enough yet
+        # As many frames as at rest, because the greatest difference grows with their number.
         spread = np.linspace(0, len(recent) - 1, STILL_FRAMES).round().astype(int)
         return motion_grey([recent[k] for k in spread])
 
@@ -238,11 +246,14 @@ class Live:
                 f"the camera's picture size changed to {grey.shape[1]}x{grey.shape[0]} px"
             )
         self._past.append((frame.t_ns, block_means(grey)))
+        # Once found, the circle is searched again only while lens or light may be changed: a search
+        # holds up the frames.
         if now_s >= self._pattern_due_s and (self._looking or self._pattern is None):
             try:
                 self._pattern = find_pattern(grey, self.circle)
             except ConfigError as error:
                 self._pattern, self._no_pattern = None, str(error)
+            # Counted from its end, or a slow board would do nothing else.
             self._pattern_due_s = time.monotonic() + _PATTERN_S
         if now_s >= self._figures_due_s:
             self._text = self._figures_of(grey)

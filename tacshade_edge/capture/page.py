@@ -73,9 +73,12 @@ class Page:
             page = self
 
         try:
+            # Only this machine: a camera's picture is nobody else's business, and there is no
+            # password.
             self._server = ThreadingHTTPServer(("127.0.0.1", PORT), Handler)
         except OSError:
             self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        # A browser that keeps its connection open must not keep the command from ending.
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, name="page", daemon=True).start()
 
@@ -99,6 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Host", "").partition(":")[0].lower() not in _HOSTS:
             self.send_error(403)
             return
+        # Read once: the program may replace it while this thread answers.
         shown = self.page.shown
         content: dict[str, tuple[str, bytes]] = {
             "/": ("text/html; charset=utf-8", _HTML),

@@ -55,6 +55,7 @@ class RobotPlaces:
         return why that fails, or an empty string.
         """
         indenter, radius_mm, depth_mm, x_mm, y_mm, *more = columns
+        # A tilted or dragged press does not show where the indenter stands.
         if not x_mm or any(more):
             return ""
         try:
@@ -62,6 +63,8 @@ class RobotPlaces:
         except ConfigError as error:
             return str(error)
         stated = TouchPoint(float(x_mm), float(y_mm), float(depth_mm))
+        # A ball is located by its centre, which no turn of the sensor moves; anything else by its
+        # lowest point.
         ball_radius_mm = float(radius_mm) if indenter == BALL else 0.0
         self._fixed[indenter, radius_mm] = fixed_indenter(
             held, stated, ball_radius_mm, self._sensor.skin_radius_mm
@@ -132,6 +135,7 @@ def labels_between(first: Rigid, now: Rigid, skin_radius_mm: float) -> dict[str,
     turned = moved.rotation
     return {
         "depth_mm": apex_mm - z,
+        # Rounding may carry a sine beyond 1.
         "tilt_x_deg": -math.degrees(math.asin(max(-1.0, min(1.0, turned[1, 2])))),
         "tilt_y_deg": math.degrees(math.atan2(turned[0, 2], turned[2, 2])),
         "shear_x_mm": x,

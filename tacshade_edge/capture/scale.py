@@ -38,8 +38,10 @@ def parse_reading(line: bytes) -> float | None:
 
 
 BAUD = 9600
+# A device that is no scale may never end a line.
 _LINE_BYTES_MAX = 256
 _SILENT_S = 5.0
+# Between readings further apart, the force may have been anything.
 GAP_S = 1.0
 
 
@@ -75,6 +77,7 @@ class Scale:
         """Stop reading and close the port."""
         self._stop.set()
         self._port.wake()
+        # `close` also follows an `open` that failed before the thread started.
         if self._thread.ident is not None:
             self._thread.join(1.0)
         self._port.close()
@@ -114,6 +117,8 @@ class Scale:
             except (DeviceError, ConfigError) as error:
                 self._error = error
                 return
+            # The time of the read: a scale sends no time of its own, and the offset corrects what
+            # is constant.
             now_s = time.monotonic()
             *lines, buffer = (buffer + data).replace(b"\r", b"\n").split(b"\n")
             buffer = buffer[-_LINE_BYTES_MAX:]
@@ -207,6 +212,8 @@ def _lag_s(press: ScalePress, t_s: F64, force: F64) -> float | None:
     size = np.sqrt((read * read).sum(axis=1) * (seen @ seen))
     found = np.divide(read @ seen, size, out=np.zeros(len(lags)), where=size > 0)
     at = int(found.argmax())
+    # At the end of the range the true lag may lie beyond, and there is no neighbour for the
+    # parabola.
     if not 0 < at < len(lags) - 1 or found[at] < _CORRELATION_LEAST:
         return None
     before, best, after = found[at - 1 : at + 2]

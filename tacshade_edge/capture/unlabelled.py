@@ -90,12 +90,15 @@ class Unlabelled:
         """Store frames at even times for `REST_S` or until a line is typed;
         how many, and for how many seconds.
         """
+        # Into a folder beside the old one, which a recording that is too short must not replace.
         self.folder.begin_rest()
         start_ns, taken, seconds = self.live.frame().t_ns, 0, 0.0
         while seconds < REST_S and self.terminal.line() is None:
             frame = self.live.frame()
             seconds = (frame.t_ns - start_ns) / 1e9
             self.live.tell(f"untouched sensor: {min(seconds, REST_S):.0f} of {REST_S:.0f} s")
+            # Spread over the whole time: a tremor or a flicker of seconds must be among the
+            # pictures.
             if taken < REST_PICTURES and seconds >= taken * REST_S / REST_PICTURES:
                 taken += 1
                 self.folder.add_rest(taken, np.array(frame.image))
@@ -107,6 +110,7 @@ class Unlabelled:
         since an unknown print can look so at rest too.
         """
         paths = self.folder.rest_pictures()
+        # A judgement runs a network, and the person waits.
         some = paths[:: -(-len(paths) // _JUDGED_MAX)]
         judged = [self.judge(self.folder.picture(path)) for path in some]
         touched = sum(one.in_contact for one in judged)
@@ -122,6 +126,7 @@ class Unlabelled:
             return _instead(answer)
         if anew:
             self.folder.forget_touches()
+        # Not the references: the light may have changed since they were taken.
         untouched = self.live.frames(STILL_FRAMES, _UNTOUCHED_S)
         rest = ChangeFromRest([block_means(to_grey(one.image)) for one in untouched])
         before: F32 | None = None
@@ -133,6 +138,7 @@ class Unlabelled:
             if not advice:
                 taken += 1
                 self.folder.add_touch(np.array(frame.image))
+                # So that a touch that stays is not taken again and again.
                 before = blocks
                 advice = "lift"
             self.live.tell(f"touch {min(taken + 1, TOUCHES)} of {TOUCHES}: {advice}")
@@ -150,6 +156,7 @@ class Unlabelled:
                 return "touch elsewhere"
         if not self.live.stands_still(SETTLED_S):
             return "hold still"
+        # Last, because it is the only check that costs more than a frame's time.
         judged = self.judge(np.array(frame.image))
         unusable = judged.moved or judged.unusable
         return f"not taken: {unusable}" if unusable else ""

@@ -217,6 +217,7 @@ def _calibration(path: str | os.PathLike[str], content: Content) -> Calibration:
         **{"fit": _fit(meta["fit"]), "fitted": _fitted(content), "touch": _touch(content)},
     }
     calibration = record_of(Calibration, meta | known, strict=False)
+    # It raises ValueError for numbers that are no pose; what it returns is not needed here.
     from_seven(calibration.flange_T_sensor)
     return with_crc(calibration)
 
@@ -253,6 +254,7 @@ def _touch(content: Content) -> dict[str, TouchModel]:
         stored = (numbers, np.float32, [sum(sizes)]), (components, np.float16, shapes["components"])
         if any(array.dtype != kind or list(array.shape) != shape for array, kind, shape in stored):
             raise ValueError("touch model: expected arrays as large as they are said to be")
+        # A damaged or hostile file must not fill a small board's memory.
         if numbers.nbytes + components.nbytes > TOUCH_BYTES_MAX:
             raise ValueError(f"touch model: more than {TOUCH_BYTES_MAX >> 20} MB")
         parts = zip(others, np.split(numbers, np.cumsum(sizes)[:-1]), strict=True)
@@ -303,6 +305,7 @@ def pack_inputs(inputs: Inputs) -> tuple[dict[str, Any], dict[str, Any]] | None:
     files = [[cv2.imencode(".png", image)[1].tobytes() for image in group] for group in groups]
     if sum(len(file) for group in files for file in group) > INPUT_BYTES_MAX:
         return None
+    # By identity: forty presses share a mesh of many triangles.
     indenters = list(
         {id(p.indenter): p.indenter for p in inputs.presses if p.indenter is not None}.values()
     )

@@ -100,6 +100,7 @@ class CaptureFolder:
     def add_rest(self, number: int, image: U8) -> None:
         """Add a picture to the recording that was begun."""
         with disk_errors(self.path):
+            # Synced once at the end, because a sync holds up the frames.
             write_whole(part(self.rest) / f"rest_{number:03d}.png", png(image), sync=False)
 
     def finish_rest(self) -> None:
@@ -149,6 +150,8 @@ class CaptureFolder:
         added = TakenPress(f"press_{next_number(taken):03d}.png", press)
         with disk_errors(self.path):
             write_whole(self.path / added.image, png(image))
+            # The table last: a row without its image would refuse the folder, an image without a
+            # row is ignored.
             write_whole(self.presses, _table([*taken, added]))
         return added
 
@@ -156,6 +159,7 @@ class CaptureFolder:
         """Remove a press from the table, then delete its image."""
         with disk_errors(self.path):
             write_whole(self.presses, _table([one for one in taken if one is not removed]))
+            # After the table, for the same reason.
             (self.path / removed.image).unlink()
 
 
@@ -166,6 +170,7 @@ def next_number(taken: Sequence[TakenPress]) -> int:
 
 def _table(rows: Sequence[TakenPress]) -> bytes:
     columns = [row.stated.columns for row in rows]
+    # Only if some press needs the columns: a person reads and edits this file.
     header = HEADER + MORE if max(map(len, columns), default=0) >= len(HEADER) else HEADER
     filled = (one + ("",) * (len(header) - 1 - len(one)) for one in columns)
     return csv_bytes(header, [(row.image, *cells) for row, cells in zip(rows, filled, strict=True)])

@@ -108,6 +108,7 @@ def write_printables(folder: Path) -> list[Path]:
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for each in printables():
+            # The meshes first, so that the tables never name a file that is absent.
             written.append(folder / f"{each.name}.stl")
             write_whole(written[-1], stl_bytes(each.triangles_mm))
         entries = {each.name: dict(each.entry) for each in printables()}

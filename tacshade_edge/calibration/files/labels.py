@@ -93,6 +93,7 @@ class LabelFolder:
         if not self.table.exists():
             return []
         labelled = read_labels(self.table, self._path)
+        # `capture` deletes images that are undone, so none may lie elsewhere.
         folder = self._path.resolve()
         for one in labelled:
             if not (one.path.is_file() and one.path.resolve().is_relative_to(folder)):

@@ -58,6 +58,7 @@ def read_presses(
     presses, mistakes = list[KnownPress](), list[str]()
     for where, row in rows:
         try:
+            # All mistakes at once: a table typed by hand has several.
             presses.append(_press(path, where, row, indenters or {}))
         except ConfigError as error:
             mistakes.append(str(error))

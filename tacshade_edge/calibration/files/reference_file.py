@@ -95,6 +95,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
     Raises ConfigError if it is unreadable, damaged, or (`ReasonCode.CALIBRATION_CHANGED`) of
     another calibration. Limits of one that differs in anything, such as its networks, are left out.
     """
+    # A dangling link is a mistake to report, not an absent file.
     if not os.path.lexists(path):
         return None
     content = npz.read(str(path), "stored reference", "the daemon for `req/reference`")
@@ -113,6 +114,7 @@ def load(path: Path, calibrated: Calibration) -> StoredReference | None:
         raise ConfigError(
             f"{path}: not a reference file: {shown(error)}; take a new reference"
         ) from None
+    # Limits depend on the networks, a reference does not: an update keeps the latter only.
     limits = file.limits if file.limits_of == calibrated.crc32 else {}
     return StoredReference(limited(calibration, limits), file.wall_ns, file.source, limits)
 

@@ -123,6 +123,7 @@ def read_sensor(path: Path) -> StatedSensor:
     """Read SENSOR.yaml. Raises ConfigError."""
     file = strict_yaml.read(path)
     is_pad = isinstance(file.value, dict) and file.value.get("skin") == "pad"
+    # Each form has keys of its own, so a mistake names those of the form that was meant.
     given = convert(file, KINDS["pad" if is_pad else "dome"])
     if problem := wrong_with(given.flange_T_sensor):
         raise file.error(("flange_T_sensor",), problem)

@@ -50,6 +50,7 @@ def _indenter_place(inverse: Inverse, geometry: Geometry, press: KnownPress) -> 
     x_mm, y_mm = _middle(
         np.where(_contact(inverse), inverse.height_mm, np.float32(0)), geometry
     ).tolist()
+    # An indenter's middle is not its origin, so its surface is compared at the stated place.
     under: F32 = np.maximum(
         np.nan_to_num(known_height(geometry, placed, len(inverse.height_mm))), np.float32(0)
     )
@@ -85,6 +86,7 @@ def _misfits(inverse: Inverse, geometry: Geometry, along: F64, press: KnownPress
         ball = ball_along(geometry.skin_radius_mm, along, press.depth_mm, part * press.radius_mm)
         height = ball_height_along(geometry, ball, u, v)
         known = np.where(inside & (height > 0), height, 0).astype(np.float32).astype(np.float64)
+        # The squared cosine: a factor on the heights, which the network may have, does not count.
         likeness = float(found @ known) ** 2 / max(
             float(found @ found) * float(known @ known), np.finfo(float).tiny
         )
@@ -118,6 +120,7 @@ class PressCheck:
         self._reference = camera_drift.look(
             unloaded.reference_grey, unloaded.geometry.disc, unloaded.pitch_px
         )
+        # Two preprocessors: χ needs whole images without a network, the network its own grid.
         self.seen = Preprocessor(unloaded, PROFILES[GRADED_PROFILE])
         self.solver = LearnedSolver(self.seen, network) if network else None
 
@@ -190,6 +193,7 @@ class PressCheck:
             return Judgement(reason)
         drift = camera_drift.drift(self._reference, look.grey)
         shift = camera_drift.shift_reason(drift, self.geometry.disc)
+        # Before the contact: a picture that moved seems to change everywhere.
         if shift and camera_drift.shifted_too_far(drift, self.geometry.disc):
             return Judgement(None, moved=shift)
         changed = shift or drift.light_reason

@@ -101,6 +101,7 @@ def leave_one_out(observations: Sequence[PressObservation], geometry: Geometry) 
     leverage = weight * np.einsum("ij,ij->i", features, np.linalg.solve(normal, features.T).T)
     rest = 1 - np.minimum(leverage, _MAX_LEVERAGE)
     without = residual / rest
+    # Clipped, so that absurd tables give finite errors.
     error = (np.exp(np.clip(-without, -5, 5)) - 1) * travel * scale
     return error, np.abs(without) * np.sqrt(rest) / deviation
 
@@ -116,6 +117,7 @@ def _features(observations: Sequence[PressObservation], geometry: Geometry) -> F
     scale = skin_scale(geometry)
     visible_mm = geometry.visible_radius_mm
     places = np.array([o.place_mm for o in observations])
+    # A place far outside is a mistake of its own; its square must not bend the fit of all.
     rho2 = np.minimum((places**2).sum(axis=1) / visible_mm**2, 1.5)
     columns = [
         np.ones(len(observations)),
@@ -215,6 +217,7 @@ def _of_another_size(
     for k, log in logs.items():
         o = observations[k]
         is_sure = log < middle or o.misfit_ratio > _LARGER_MISFIT_RATIO
+        # Against the median ball, not 1: on a stiff skin all look smaller than they are.
         if abs(log - middle) > limit and o.depth_mm > shallow_mm and is_sure:
             reasons[k] = finding(
                 FindingCode.SMALLER_BALL if log < middle else FindingCode.LARGER_BALL,

@@ -114,6 +114,7 @@ def _best_form(
     tried = [(half, factor) for half in halves for factor in _LENS_FACTORS.tolist()]
     forms = [_formed(geometry, *each) for each in tried]
     misfits = np.array([_misfit(balls, geometry, form) for form in forms])
+    # Depth of the lens and form act alike; the stated lens is the better guess.
     near = np.flatnonzero(misfits <= misfits.min() * (1 + _ALIKE))
     best = min(near.tolist(), key=lambda k: (abs(math.log(tried[k][1])), misfits[k]))
     return len(balls) * math.log(stated / misfits[best]), forms[best]
@@ -138,6 +139,7 @@ def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry
     """Mean part of the best balls' squared heights that the network's do not explain,
     at the median factor.
     """
+    # The lens would lie before the visible circle.
     if tried.camera_distance_mm is not None and not tried.f_px > 0:
         return _MOST_MISFIT
     per_px = tried.mm_per_px if tried.camera_distance_mm is None else 1 / tried.f_px
@@ -153,6 +155,7 @@ def _misfit(balls: Sequence[PressObservation], stated: Geometry, tried: Geometry
         seen = height_mm * float(scale_mm(tried) / scale_mm(stated))
         sums.append((seen @ known, seen @ seen, max(known @ known, 1e-9)))
     both, of_seen, of_known = np.array(sums).T
+    # One factor for all: a network is off by one, and with one each a wrong key would hide.
     factor = np.median(both / of_seen)
     rest = (factor**2 * of_seen - 2 * factor * both + of_known) / of_known
     best = np.sort(np.minimum(rest, _MOST_MISFIT))[: math.ceil(_PART_BELIEVED * len(rest))]

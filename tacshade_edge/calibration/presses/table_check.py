@@ -91,6 +91,7 @@ def gross_mistakes(
     depth = _median([o.seen_depth_mm / o.depth_mm for o in seen])
     is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)
     ball = _median([o.ball_factor for o in seen if is_mostly_seen and math.isfinite(o.ball_factor)])
+    # Places are found without a network too, so axes are judged even if it sees nothing.
     mistakes = [unit_mistake(depth), axes_hint(observations, geometry)]
     if seen and not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
         mistakes = [size_mistake(depth, ball, observations, geometry)]
@@ -145,6 +146,7 @@ def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> f
         return math.nan
     stated = np.array([o.place_mm for o in balls])
     shown = np.array([(o.located_x_mm, o.located_y_mm) for o in balls])
+    # By least squares through 0: places near the middle, which show no factor, weigh little.
     squares = float((stated * stated).sum())
     if squares < len(stated) * (_LEAST_REACH_RADII * size_mm) ** 2:
         return math.nan
@@ -233,6 +235,7 @@ def zero_hint(
         - np.array([at.deeper(at.first_touch_mm(r)).depth_max_mm(r) for at in placed]) / scale
     )
     x = np.stack((found, missing, np.ones_like(found)), axis=1)
+    # Presses that all lie at the middle miss nothing: then the three columns depend on each other.
     if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
         (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
         if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):

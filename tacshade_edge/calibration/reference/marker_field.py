@@ -92,6 +92,7 @@ def find_markers(grey: U8) -> MarkerField | None:
         difference = cv2.GaussianBlur(small, (0, 0), sigma_px) - cv2.GaussianBlur(
             small, (0, 0), _WIDER * sigma_px
         )
+        # White pins on black, and black pins between white markers.
         for signed in (difference, -difference):
             found = _even_field(*_extrema(signed, sigma_px))
             if found is not None and (score := _score(*found)) > best_score:
@@ -143,6 +144,7 @@ def _even_field(points: F64, contrast: F32) -> tuple[F64, float, float] | None:
     if len(kept) < LEAST_MARKERS:
         return None
     _, label = connected_components(graph[kept][:, kept], directed=False)
+    # Lamps form fields too, but smaller ones.
     field = kept[label == np.argmax(np.bincount(label))]
     if len(field) < LEAST_MARKERS:
         return None

@@ -46,6 +46,7 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
         np.float32
     )
     patch = patch - cv2.blur(patch, (2 * (half // 3) + 1, 2 * (half // 3) + 1))
+    # Without a window, the patch's edges would make a cross in the spectrum.
     window = np.hanning(patch.shape[0])[:, None] * np.hanning(patch.shape[1])[None, :]
     size = _SPECTRUM_PX
     power = np.abs(np.fft.rfft2(patch * window, s=(size, size))) ** 2
@@ -54,12 +55,14 @@ def _spectral_pitch_px(grey: U8, disc: Disc) -> float:
     ring = np.bincount(bins.ravel(), weights=power.ravel()) / np.maximum(
         np.bincount(bins.ravel()), 1
     )
+    # From eight periods in the patch to one of 4 px: what is slower is light, what is faster noise.
     low, high = int(size * 4 / half), int(size * 0.25)
     band = ring[low:high]
     if band.size < _LEAST_BAND or not band.max() > 0:
         raise ConfigError(
             "found no marker pattern in the reference: the visible circle is too small"
         )
+    # A ring is as wide as the pitch varies under perspective: single bins are noise.
     smooth = np.convolve(band, np.ones(5) / 5, "same")
     peaks = np.flatnonzero((smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])) + 1
     strong = [int(p) for p in peaks if smooth[p] >= 0.3 * smooth.max()]
@@ -143,6 +146,7 @@ def view(grey: U8, pattern: Pattern) -> PatternView:
     if not inside.any():
         return PatternView(0.0, 0.0, 0.0)
     values = grey.astype(np.float32)
+    # Less the mean over two pitches, because slow variation of light is no contrast.
     side = max(int(2 * pattern.pitch_px) | 1, 3)
     detail = (values - cv2.blur(values, (side, side)))[inside]
     fine = cv2.Laplacian(cv2.GaussianBlur(values, (0, 0), 1.0), cv2.CV_32F)[inside]

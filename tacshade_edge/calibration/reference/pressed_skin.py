@@ -40,6 +40,7 @@ def load_finding(preprocessor: Preprocessor) -> CalibrationFinding | None:
     residual = ring_residual(g0, rho2, voting)
     deviation = 1.4826 * float(np.median(np.abs(residual[voting]))) if voting.any() else 0.0
     threshold = max(LOAD_GREY, LOAD_DEVIATIONS * deviation)
+    # The median of three, as one of them may fall on a second load.
     elsewhere = np.median(
         [quarter_turned(residual, grid, disc, turns) for turns in (1, 2, 3)], axis=0
     )

@@ -51,6 +51,7 @@ def with_reference(calibration: Calibration, greys: Sequence[U8]) -> Calibration
     """
     prepared = Preprocessor(calibration, PROFILE)
     whites = [prepared.binarised(grey) for grey in greys]
+    # Between fewer images, chance would decide about the gate.
     noise = calibration.noise_grey
     if len(greys) >= NOISE_REFERENCES:
         ratios = [
@@ -78,6 +79,7 @@ def shown_polarity(calibration: Calibration) -> Polarity:
     """
     disc, pitch_px = calibration.geometry.disc, calibration.pitch_px
     shape = height, width = calibration.image_height_px, calibration.image_width_px
+    # Two pitches: light varies more slowly, markers do not.
     side = 2 * round(pitch_px) + 1
     detail = calibration.reference_grey - cv2.blur(
         calibration.reference_grey.astype(np.float32), (side, side)
@@ -117,6 +119,7 @@ def check_references(
                 noise_grey=ASSUMED_NOISE_GREY,
             )
         )
+    # To the first, not to their mean, which a moved image would blur.
     first = camera_drift.look(greys[0], disc, calibration.pitch_px)
     for name, grey in zip(names[1:], greys[1:], strict=True):
         drift = camera_drift.drift(first, grey)
@@ -163,6 +166,7 @@ def rezero(
         raise ConfigError("found no image to take a reference from, expected at least one")
     greys = [greyscale.to_grey(image) for image in images]
     disc = calibration.geometry.disc
+    # Against the old reference, so that a covered or blurred lens cannot become the new one.
     judges = plain_judges(calibration, unloaded=True)
     old = camera_drift.look(calibration.reference_grey, disc, calibration.pitch_px)
     refused = [f"rejected reference {name}: " for name in names] or [
@@ -289,6 +293,7 @@ def g_change(old: Preprocessor, new: Preprocessor) -> tuple[float, float]:
     g_d = (new.reference_g - old.reference_g)[old.voting].astype(np.float64)
     if not g_d.size:
         return 0.0, 0.0
+    # Ageing light moves all cells alike, a load only some: the median is the former.
     common = float(np.median(g_d))
     beside = np.sort(g_d - common)
     cells = min(math.ceil(GATE_MM2 / old.cell_mm2), beside.size)

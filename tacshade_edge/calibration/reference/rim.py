@@ -10,6 +10,7 @@ import numpy as np
 from tacshade_edge.calibration.reference.marker_field import MarkerField
 from tacshade_edge.types import F64, U8, Bool, Disc
 
+# A multiple of the sectors; one ray for each px of a rim with a radius of 230 px.
 _RAYS = 1440
 _RADIAL_STEP_PX = 0.5
 # Variation along the angle slower than this part of a turn is light (LED rings), not pattern.
@@ -107,6 +108,7 @@ class Rim:
 def _climb(grey: U8, best: Rim, step_px: float) -> Rim:
     """Move the centre by `step_px` as long as the rim becomes sharper."""
     reach = _REACH if step_px > _FINE_PX else _FINE_REACH
+    # At each scale the radius first: a wrong one hides which centre is better.
     best = _end_of_pattern(grey, best.disc, 1 - reach, 1 + reach) or best
     for _ in range(20):
         here = best
@@ -143,6 +145,7 @@ def _pattern_strength(grey: U8, disc: Disc, radii: F64) -> tuple[F64, Bool]:
     seen: Bool = (
         (rows >= 0) & (rows <= grey.shape[0] - 1) & (cols >= 0) & (cols <= grey.shape[1] - 1)
     )
+    # Outside, `BORDER_REPLICATE` makes stripes, which are no pattern.
     strength[~seen] = 0
     return strength, seen
 

@@ -75,6 +75,7 @@ def widening_of(field: MarkerField, geometry: Geometry) -> Widening | None:
     # Both signs of the mean and of a tilt, because all parts count at least zero times.
     free = np.stack([np.ones_like(rho), unit[:, 0], unit[:, 1]], axis=1)
     smooth = np.hstack([free, -free, rho[:, None] ** 2, rho[:, None] ** 4])
+    # The free skin is fitted too, so what a press explains is counted beyond any smooth growth.
     loss, _ = _fitted(smooth, beyond)
     best = Widening(disc.row_c, disc.col_c, 1.0, 0.0)
     for size in _SIZES:

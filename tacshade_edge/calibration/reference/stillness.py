@@ -30,6 +30,7 @@ def motion_grey(blocks: Sequence[F32]) -> float:
     """
     change = np.stack(blocks) - blocks[0]
     change -= np.median(change, axis=(1, 2), keepdims=True)  # a flickering light is not motion
+    # Greatest less least rather than a deviation: one jerk of a hand must count in full.
     return float((change.max(axis=0) - change.min(axis=0)).max())
 
 

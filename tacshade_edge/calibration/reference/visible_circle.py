@@ -74,6 +74,7 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     except CircleNotFoundError as error:
         advice = circle_to_state(error.guess) if error.guess else ""
         raise CircleNotFoundError(f"{error}{advice}", error.guess) from None
+    # A stated circle may be of another image size.
     if not disc_mask(grey.shape[0], grey.shape[1], disc).any():
         found = (
             f"a circle at row {disc.row_c:g}, col {disc.col_c:g} with radius {disc.radius_px:g} px"
@@ -138,6 +139,7 @@ def find_disc(grey: U8) -> Disc:
     )  # an image full of pattern shows no circle
     if field and whole and _filled(grey, field.circle, field) >= _FILLED:
         return field.circle
+    # Refused, but the likeliest one helps whoever states it.
     ending, best = max(zip(endings, rims, strict=True), key=lambda each: each[0])
     found = (
         f"markers fill {100 * _filled(grey, best.disc, field):.0f} % of the best circle and end "
@@ -180,6 +182,7 @@ def _starts(grey: U8, field: MarkerField | None) -> list[list[Disc]]:
         around.append(field.circle)
         if rim := _circle_through_rim(field.hull_px, grey.shape, field.pitch_px):
             rims.append(replace(rim, radius_px=rim.radius_px + field.pitch_px / 2))
+    # Groups of starts, each with a winner: a ring of lamps ends more sharply than the markers do.
     cut = [rim for rim in rims if rim_seen(grey.shape, rim) > _LEAST_RIM_SEEN]
     return [starts for starts in ([disc for disc, _ in regions], cut, around) if starts]
 
@@ -199,6 +202,7 @@ def _textured_region(grey: U8, part: float) -> tuple[Disc, Disc | None] | None:
     level = np.clip(texture * (255 / max(float(texture.max()), 1e-6)), 0, 255).astype(np.uint8)
     split, _ = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     _, mask = cv2.threshold(level, part * split, 1, cv2.THRESH_BINARY)
+    # Opened, because threads of texture join the disc to lamps and screws.
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
     regions = measure.regionprops(measure.label(mask, connectivity=1))
     if not regions:
