@@ -126,7 +126,7 @@ def test_a_compressed_image(order: str, frame_id: bytes, kind: bytes, data: byte
 def test_one_that_is_cut_anywhere_is_refused() -> None:
     whole = image("<", b"camera", 3, 4, b"mono8")
     for at in range(len(whole)):
-        with pytest.raises(DecodeError, match=r"cut short|expected a CDR header"):
+        with pytest.raises(DecodeError, match="Expected a whole message"):
             decode_image(whole[:at])
 
 

@@ -1,7 +1,8 @@
-"""Reads any MCAP file, truncated or not; skips and reports damage.
+"""Reads any MCAP file, truncated or not, with the package `mcap`; skips and reports damage.
 
-The package `mcap` parses records; this module finds them, also after damage, which the package
-cannot, and checks sizes before anything is unpacked.
+The package trusts every length that it reads and ends at the first damage. So it gets one record
+at a time, whose size was checked, and reading goes on at the next chunk or attachment that the
+file's index names.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,18 @@ import lz4.frame
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Message, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    Footer,
+    McapRecord,
+    Message,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import StreamReader
 
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -31,54 +43,26 @@ from tacshade_edge.regular_files import open_regular
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _HEAD: Final = struct.Struct("<BQ")  # kind, length
 _FILE_BYTES_MAX: Final = 1 << 40
-CHUNK_BYTES_MAX: Final = (
-    32 << 20
-)  # packed or not, or of a record outside chunks: a reader must hold it in memory
+# Packed or not, or of a record outside chunks: a reader must hold it in memory.
+CHUNK_BYTES_MAX: Final = 32 << 20
 DESCRIPTION_BYTES_MAX: Final = 1 << 20  # of a schema or channel
-SUMMARY_BYTES_MAX: Final = (
-    16 << 20
-)  # enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size
-_UNPACKED_MAX: Final = (
-    256  # greatest unpacked size over the file's size: lz4 cannot compress further
-)
+# Enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size.
+SUMMARY_BYTES_MAX: Final = 16 << 20
+# Greatest unpacked size over the file's size: lz4 cannot compress further. zstd can, and a file of
+# a few kB would then keep a reader busy for hours.
+_UNPACKED_MAX: Final = 256
 _UNPACKED_FREE_BYTES: Final = 16 << 20  # beyond `_UNPACKED_MAX`
-_RECORD_COSTS_BYTES: Final = (
-    1 << 10
-)  # least size that a record counts as: millions of empty ones take time
-_SCAN_BYTES: Final = 1 << 20
 _DAMAGED_MAX: Final = 10_000  # places in a file, because a file full of damage takes time
 _DAMAGED: Final = (ValueError, struct.error, McapError, zstandard.ZstdError, RuntimeError, EOFError)
-
-# Number of bytes, or the format of the number that states how many bytes follow it.
-_FIELDS: Final[dict[int, tuple[int | str, ...]]] = {
-    Opcode.HEADER: ("<I", "<I"),
-    Opcode.FOOTER: (20,),
-    Opcode.SCHEMA: (2, "<I", "<I", "<I"),
-    Opcode.CHANNEL: (4, "<I", "<I", "<I"),
-    Opcode.MESSAGE: (22,),
-    Opcode.CHUNK: (28, "<I", "<Q"),
-    Opcode.MESSAGE_INDEX: (2, "<I"),
-    Opcode.CHUNK_INDEX: (32, "<I", 8, "<I", 16),
-    Opcode.ATTACHMENT: (16, "<I", "<I", "<Q", 4),
-    Opcode.ATTACHMENT_INDEX: (40, "<I", "<I"),
-    Opcode.STATISTICS: (42, "<I"),
-    Opcode.METADATA: ("<I", "<I"),
-    Opcode.METADATA_INDEX: (16, "<I"),
-    Opcode.SUMMARY_OFFSET: (17,),
-    Opcode.DATA_END: (4,),
-}
-# Most bytes after the fields: a message's payload, or what later format versions may add.
-_MORE_BYTES_MAX: Final[dict[int, float]] = {Opcode.MESSAGE: float("inf"), Opcode.ATTACHMENT: 0}
-_LATER_FIELDS_BYTES: Final = 64
+_KINDS: Final = frozenset(int(kind) for kind in Opcode)
+# Also what follows the data's end: a flipped bit may have hidden the end itself.
 _END: Final = frozenset(
     {Opcode.DATA_END, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.STATISTICS, Opcode.SUMMARY_OFFSET}
 )
-# The head of a chunk or an attachment with a length below 2^32.
-_AFTER_DAMAGE: Final = re.compile(rb"(?=[\x06\x09][\s\S]{4}\0{4})")
 
 
 class Place(NamedTuple):
-    """A record of plausible length: its kind, its body's first byte and length,
+    """A record that ends where another may begin: its kind, its body's first byte and length,
     and the next record's first byte.
     """
 
@@ -99,6 +83,7 @@ class Summary:
         default_factory=dict
     )  # messages in each channel, if the file states them
     span_ns: tuple[int, int] | None = None  # times of the first and the last message
+    places: dict[int, int] = field(default_factory=dict)  # first byte to kind, where it states it
 
 
 class McapFile:
@@ -131,27 +116,32 @@ class McapFile:
         self._stream.close()
 
     def places(self) -> Iterator[Place | DecodeError]:
-        """Every record of the data section, and the damage, after which it continues behind the
-        damaged record, or else at the next chunk or attachment. In a truncated file, the torn
-        record at the end is not damage.
+        """Every record of the data section, and the damage, after which it continues at the next
+        record that the index names. In a truncated file, the torn record at the end is not damage.
         """
         at, damaged = len(_MAGIC), 0
         end = self._size - len(_MAGIC) * self._ends if self.summary is None else self.summary.begin
+        named = {} if self.summary is None else self.summary.places
+        # A record must not reach into the next one that the index names: a flipped bit in its
+        # length would otherwise skip sound chunks.
+        stops = [*sorted(place for place in named if at < place < end), end]
         if self._read(0, len(_MAGIC)) != _MAGIC:
-            yield self._skipping(0, len(_MAGIC))
+            yield self._skipping(0, at)
         while at < end:
-            if (place := self._sound(at)) is not None:
-                if place.kind in _END:
-                    return
-                yield place
+            stop = stops[bisect_right(stops, at)]
+            place = self._place(at, stop)
+            if place is None or named.get(at, place.kind) != place.kind:
+                if stop == end and not self._ends:
+                    return  # torn here
+                damaged += 1
+                stop = end if damaged > _DAMAGED_MAX else stop
+                yield self._skipping(at, stop)
+                at = stop
+            elif place.kind in _END and stop == end:
+                return
+            else:
+                yield place if place.kind in _KINDS else self._skipping(at, place.end)
                 at = place.end
-                continue
-            following = self._after_damage(at, end)
-            if following is None and not self._ends:
-                return  # torn here
-            damaged += 1
-            begin, at = at, end if following is None or damaged > _DAMAGED_MAX else following
-            yield self._skipping(begin, at)
 
     def records(self) -> Iterator[Schema | Channel | Message | DecodeError]:
         """The data section's records, in chunks and outside, in the order of the file."""
@@ -193,7 +183,7 @@ class McapFile:
                     return None
                 raise ValueError(f"found {place.length} bytes, expected at most {most}")
             body = self._read(place.body, place.length)
-            crc = int.from_bytes(body[-4:], "little")
+            crc = int.from_bytes(body[-4:], "little")  # which the package skips
             if crc and zlib.crc32(body[:-4]) != crc:
                 raise ValueError("its checksum does not match")
             record = _record(Opcode.ATTACHMENT, body)
@@ -203,29 +193,24 @@ class McapFile:
         return record if record.name in bytes_max else None
 
     def _records_at(self, place: Place) -> Iterator[Schema | Channel | Message]:
-        is_chunk = place.kind == Opcode.CHUNK
-        size = (
-            int.from_bytes(self._read(place.body + 16, 8), "little") if is_chunk else place.length
-        )
-        if (most := max(size, place.length)) > CHUNK_BYTES_MAX:
-            raise ValueError(f"found {most} bytes, expected at most {CHUNK_BYTES_MAX}")
-        self._unpacked += size
-        if self._unpacked > self._unpacked_max:
-            return
+        _require_small(place.length)
         record = _record(place.kind, self._read(place.body, place.length))
         if isinstance(record, Schema | Channel | Message):
-            self._unpacked += max(0, _RECORD_COSTS_BYTES - size)
             yield record
+        if not isinstance(record, Chunk):
+            return
+        _require_small(record.uncompressed_size)
+        self._unpacked += record.uncompressed_size
+        if self._unpacked > self._unpacked_max:
             return
         data, at = memoryview(_unpacked(record)), 0
-        while at < len(data) and self._unpacked <= self._unpacked_max:
+        while at < len(data):
             kind, length = _HEAD.unpack_from(data, at)
             at += _HEAD.size
             if length > len(data) - at:
                 raise ValueError(
                     f"found a record of {length} bytes in it, expected at most {len(data) - at}"
                 )
-            self._unpacked += max(0, _RECORD_COSTS_BYTES - length)
             inner = _record(kind, data[at : at + length])
             if isinstance(inner, Schema | Channel | Message):
                 yield inner
@@ -236,7 +221,7 @@ class McapFile:
         footer_at = self._size - _HEAD.size - 20 - len(_MAGIC)
         if footer_at < len(_MAGIC) or self.cut_off:
             return None
-        place = self._place(footer_at)
+        place = self._place(footer_at, self._size)
         if place is None or (place.kind, place.length) != (Opcode.FOOTER, 20):
             raise ValueError("found no footer")
         footer = _record(place.kind, self._read(place.body, place.length))
@@ -246,7 +231,7 @@ class McapFile:
         if not len(_MAGIC) <= begin <= footer_at or footer_at - begin > SUMMARY_BYTES_MAX:
             raise ValueError("another beginning")
         data = self._read(begin, self._size - begin)
-        if (
+        if (  # the package does not check it
             footer.summary_crc
             and zlib.crc32(data[: footer_at - begin + _HEAD.size + 16]) != footer.summary_crc
         ):
@@ -261,72 +246,24 @@ class McapFile:
                 times = record.message_start_time, record.message_end_time
                 found.span_ns = times if record.message_count else None
                 found.counts = record.channel_message_counts
+            elif isinstance(record, ChunkIndex):
+                found.places[record.chunk_start_offset] = Opcode.CHUNK
+            elif isinstance(record, AttachmentIndex):
+                found.places[record.offset] = Opcode.ATTACHMENT
         return found
 
     def _skipping(self, begin: int, end: int) -> DecodeError:
         found = f"{self._name}: skipping the damaged bytes {begin} to {end}"
-        return DecodeError(f"{found}: found no known record of the stated length")
+        return DecodeError(f"{found}: found no known record that ends there")
 
-    def _after_damage(self, at: int, end: int) -> int | None:
-        """The first byte of the next sound record after a damaged or unknown one;
-        None if there is none.
-        """
-        if (
-            (place := self._place(at)) is not None
-            and place.end < end
-            and self._sound(place.end) is not None
-        ):
-            return place.end
-        at += 1
-        while at < end:
-            block = self._read(at, min(_SCAN_BYTES, end - at))
-            for match in _AFTER_DAMAGE.finditer(block):
-                found = self._sound(at + match.start())
-                if found is not None and self._begins_record(found.end):
-                    return at + match.start()
-            if len(block) <= _HEAD.size:
-                return None
-            at += len(block) - _HEAD.size + 1
-        return None
-
-    def _sound(self, at: int) -> Place | None:
-        """The record at `at` if it is as long as its own fields say.
-
-        After a message, or a record with unknown additional fields,
-        something like a record must follow.
-        """
-        if (place := self._place(at)) is None or place.kind not in _FIELDS:
-            return None
-        stated = 0
-        for field_ in _FIELDS[place.kind]:
-            if isinstance(field_, str):
-                number = self._read(place.body + stated, struct.calcsize(field_))
-                stated += len(number) + int.from_bytes(number, "little")
-            else:
-                stated += field_
-        more = place.length - stated
-        if place.kind != Opcode.MESSAGE and more == 0:
-            return place
-        is_possible = 0 <= more <= _MORE_BYTES_MAX.get(place.kind, _LATER_FIELDS_BYTES)
-        return place if is_possible and self._begins_record(place.end) else None
-
-    def _begins_record(self, at: int) -> bool:
-        """Whether a record of a known kind may begin at `at`, or the file ends there."""
-        if at >= self._size or self._read(at, len(_MAGIC)) == _MAGIC:
-            return True
-        place = self._place(at)
-        return place is not None and place.kind in _FIELDS
-
-    def _place(self, at: int) -> Place | None:
-        """The record at `at`, whose length nothing has checked;
-        None if the file is too short for it.
-        """
+    def _place(self, at: int, stop: int) -> Place | None:
+        """The record at `at`; None if it is none or does not end before `stop`."""
         head = self._read(at, _HEAD.size)
         if len(head) < _HEAD.size:
             return None
         kind, length = _HEAD.unpack(head)
         end = at + _HEAD.size + length
-        return Place(kind, at + _HEAD.size, length, end) if end <= self._size else None
+        return Place(kind, at + _HEAD.size, length, end) if kind != 0 and end <= stop else None
 
     def _read(self, at: int, count: int) -> bytes:
         """Some bytes, fewer at the end of the file."""
@@ -361,14 +298,18 @@ def _record(kind: int, body: bytes | memoryview) -> McapRecord | None:
     most = DESCRIPTION_BYTES_MAX if kind in (Opcode.SCHEMA, Opcode.CHANNEL) else len(body)
     stream = io.BytesIO(_HEAD.pack(kind, len(body)) + body)
     reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=most)
-    return next(iter(reader.records)) if kind in _FIELDS else None
+    return next(iter(reader.records)) if kind in _KINDS else None
 
 
-def _unpacked(chunk: object) -> bytes:
+def _require_small(size: int) -> None:
+    if size > CHUNK_BYTES_MAX:
+        raise ValueError(f"found {size} bytes, expected at most {CHUNK_BYTES_MAX}")
+
+
+def _unpacked(chunk: Chunk) -> bytes:
     """A chunk's records, in no more memory than its stated size, which the package does not limit,
     allows.
     """
-    assert isinstance(chunk, Chunk)
     size, packed = chunk.uncompressed_size, chunk.data
     if chunk.compression == "zstd":
         decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES_MAX)
