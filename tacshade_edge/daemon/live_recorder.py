@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +25,7 @@ from tacshade_edge.daemon.record_thread import RecordThread
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.pipeline.observer import RECORDED_S, FrameObserver, Reply, SourceState
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
-from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter
+from tacshade_edge.recording.recorder import RecordingWriter
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, Event
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.settings import Settings, to_yaml
@@ -123,14 +122,9 @@ class LiveRecorder(FrameObserver):
             "profile": profile,
             "calibration_crc32": calibration.crc32,
         }
-        make = (
-            RecordingWriter
-            if request.format == "folder"
-            else partial(McapRecorder, sensor_id=settings.sensor_id)
-        )
         replayable = to_yaml(msgspec.structs.replace(settings, calibration=CALIBRATION_NAME))
         try:
-            self.begin(folder, request.seconds, replayable, calibration, about, make)
+            self.begin(folder, request.seconds, replayable, calibration, about)
         except DeviceError as error:
             if error.code != ReasonCode.DISK:
                 raise
@@ -148,7 +142,6 @@ class LiveRecorder(FrameObserver):
         settings_yaml: str,
         calibration: Calibration,
         about: Mapping[str, object],
-        make: Callable[..., RecordingWriter] = RecordingWriter,
     ) -> None:
         """Begin a recording in a new folder; `about` goes to ``recording.json``.
 
@@ -159,7 +152,7 @@ class LiveRecorder(FrameObserver):
                 "still writing the latest recording to" if now.ending else "already recording to"
             )
             raise DeviceError(f"busy: {doing} {now.folder}", code=ReasonCode.BUSY)
-        recorder = make(folder)
+        recorder = RecordingWriter(folder)
         recording = OngoingRecording(recorder, settings_yaml, calibration, about, seconds)
         # First the queue: `grab` puts frames as soon as it sees the recording, and what the thread
         # takes before the recording itself is dropped without a count.

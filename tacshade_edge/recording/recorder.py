@@ -1,17 +1,16 @@
 """Writes a recording for `recording.recording`: PNG frames, their table, events, settings
-and calibration; or the frames in MCAP files instead.
+and calibration.
 """
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import json
 import os
 from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import BinaryIO, Final
 
 import cv2
 
@@ -26,7 +25,6 @@ from tacshade_edge.files.atomic_files import (
 )
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.recording.frame_table import HEADER, MORE, TABLE_NAME, line_crc32
-from tacshade_edge.recording.mcap import require_mcap
 from tacshade_edge.recording.recording_content import (
     ABOUT_NAME,
     CALIBRATION_NAME,
@@ -35,16 +33,6 @@ from tacshade_edge.recording.recording_content import (
 )
 from tacshade_edge.types import U8, Frame
 
-if TYPE_CHECKING:
-    from tacshade_edge.recording.mcap.writer import McapWriter
-
-FILE_BYTES_MAX: Final = 512 << 20
-FILE_NS_MAX: Final = 300 * 1_000_000_000
-"""Limits of one MCAP file, because its index stays in memory until its end, at 0.7 kB per frame."""
-_CHUNK_BYTES: Final = 16 << 10
-"""A chunk ends when it exceeds this size, as any picture does,
-so truncation loses only a frame or two.
-"""
 # Lossless; for grey images 2.5 times as fast as zlib's level 1 and no larger
 # (docs/how-to/replay.md).
 _PNG_OPTIONS: Final = {
@@ -96,7 +84,8 @@ class RecordingWriter:
             fcntl.flock(
                 self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB
             )  # until the recording is whole
-            self._begin_frames()
+            self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
+            self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
             sync(self.folder)
 
     def add(self, frame: Frame, png: bytes) -> bool:
@@ -110,10 +99,6 @@ class RecordingWriter:
         self.frames += 1
         self.bytes += len(png)
         return True
-
-    def _begin_frames(self) -> None:
-        self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
-        self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
 
     def _write(self, name: str, frame: Frame, png: bytes) -> None:
         write_whole(self.folder / name, png, sync=False)
@@ -160,89 +145,3 @@ def _columns(frame: Frame) -> str:
         return ",,,,,,,"
     values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
     return ",".join((*(repr(float(v)) for v in values), str(frame.pose_error_us)))
-
-
-class McapRecorder(RecordingWriter):
-    """One recording in a new folder as ``000.mcap``, ``001.mcap`` ...;
-    each opens alone and grows as ``.part``.
-    """
-
-    def __init__(self, folder: Path, sensor_id: str) -> None:
-        require_mcap()
-        super().__init__(folder)
-        self._sensor_id = sensor_id
-        self._files = self._begun_ns = 0
-        self._open: tuple[BinaryIO, McapWriter] | None = None
-
-    def _begin_frames(self) -> None:
-        """Write no table: the MCAP files hold the times and poses."""
-
-    def _write(self, name: str, frame: Frame, png: bytes) -> None:
-        try:
-            if self._open is not None and (
-                self._open[0].tell() > FILE_BYTES_MAX or frame.t_ns - self._begun_ns > FILE_NS_MAX
-            ):
-                self._end_file()
-            if self._open is None:
-                self._begin_file(frame)
-            assert self._open is not None
-            stream, writer = self._open
-            writer.frame(name, frame, png, frame.wall_ns)
-            stream.flush()
-        except OSError:
-            self._leave_file()
-            raise
-
-    def sync(self) -> None:
-        """Wait until everything written is on the disk."""
-        super().sync()
-        if self._open is not None:
-            with disk_errors(self.folder):
-                os.fsync(self._open[0].fileno())
-
-    def finish(self, about: Mapping[str, object]) -> None:
-        """Complete the recording and write ``recording.json``."""
-        with disk_errors(self.folder):
-            self._end_file()
-        super().finish(about)
-
-    def close(self) -> None:
-        """Close the files of an unfinished recording."""
-        super().close()
-        self._leave_file()
-
-    def _path(self) -> Path:
-        return self.folder / f"{self._files - 1:03d}.mcap"
-
-    def _begin_file(self, frame: Frame) -> None:
-        from tacshade_edge.recording.mcap.writer import McapWriter
-
-        self._files += 1
-        self._begun_ns = frame.t_ns
-        stream = part(self._path()).open("wb")
-        # PNG cannot be compressed further.
-        writer = McapWriter(stream, self._sensor_id, chunk_bytes=_CHUNK_BYTES, compress=False)
-        self._open = stream, writer
-        for name in (CALIBRATION_NAME, SETTINGS_NAME):
-            writer.attach(name, (self.folder / name).read_bytes(), frame.wall_ns)
-        sync(self.folder)
-
-    def _end_file(self) -> None:
-        if self._open is None:
-            return
-        stream, writer = self._open
-        writer.finish()
-        stream.flush()
-        os.fsync(stream.fileno())
-        part(self._path()).rename(self._path())
-        sync(self.folder)
-        self._leave_file()
-
-    def _leave_file(self) -> None:
-        """Close the file; a torn record stays the last one in its ``.part``,
-        which readers read up to it.
-        """
-        if self._open is not None:
-            with contextlib.suppress(OSError):  # flushing the buffer may fail, too
-                self._open[0].close()
-        self._open = None

@@ -39,13 +39,9 @@ class _Profile(_Body, frozen=True):
     profile: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
 
 
-RecordingFormat = Literal["folder", "mcap"]
-
-
 class _RecordStart(_Body, frozen=True, tag_field="action", tag="start"):
     seconds: Annotated[float, msgspec.Meta(gt=0, le=RECORD_S_MAX)]
     name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
-    format: RecordingFormat = "folder"
 
 
 class _RecordStop(_Body, frozen=True, tag_field="action", tag="stop"):
@@ -112,7 +108,6 @@ class Request:
     seconds: float = 0.0
     text: str = ""
     playback: PlaybackCommand | None = None
-    format: RecordingFormat = "folder"
 
 
 def parse_request(

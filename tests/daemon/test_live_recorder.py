@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.ongoing_recording import STOPPED, TIME
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.recording.frame_table import read_table
-from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import Recorder as SettingsOfRecorder
 from tacshade_edge.settings import Settings
@@ -43,16 +42,9 @@ class Live:
         self.folder = folder / "recs" / "one"
         self._calibration = calibration
 
-    def begin(
-        self,
-        seconds: float = 60.0,
-        name: str = "one",
-        make: Callable[..., Any] = RecordingWriter,
-    ) -> None:
+    def begin(self, seconds: float = 60.0, name: str = "one") -> None:
         folder = self.folder.with_name(name)
-        self.recorder.begin(
-            folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"}, make
-        )
+        self.recorder.begin(folder, seconds, "sensor_id: a\n", self._calibration, {"version": "1"})
 
     def give(self, *frames: Frame) -> None:
         for frame in frames:
@@ -332,14 +324,3 @@ def test_frames_of_another_reference_are_not_before(live: Live, calibration: Cal
     live.recorder.end(STOPPED)
     live.ended()
     assert written(live.folder) == [frame.t_ns for frame in after]
-
-
-def test_a_recording_in_mcap(live: Live) -> None:
-    pytest.importorskip("mcap")
-    pytest.importorskip("foxglove_schemas_protobuf")
-    live.begin(make=partial(McapRecorder, sensor_id="a"))
-    live.give(*frames(6))
-    live.recorder.end(STOPPED)
-    status = live.ended()
-    assert (status["frames"], status["dropped"], status["ending"]) == (6, 0, "stopped")
-    assert written(live.folder) == [1000, 1001, 1002, 1003, 1004, 1005]

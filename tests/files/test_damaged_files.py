@@ -4,6 +4,7 @@ and what has a checksum reports it.
 
 from __future__ import annotations
 
+import io
 import logging
 import struct
 import zlib
@@ -39,7 +40,8 @@ from tacshade_edge.files.meshes import read_stl, stl_bytes
 from tacshade_edge.files.npz import Content
 from tacshade_edge.lab.pressed_file import PressedFile
 from tacshade_edge.recording.frame_table import read_poses
-from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
+from tacshade_edge.recording.mcap.writer import McapWriter
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import load
 from tacshade_edge.stitching.stitch_file import (
@@ -291,23 +293,23 @@ def kinds() -> dict[str, Kind]:
         made["session"] = Kind(
             files, read_session, (f"one/{SESSION}", f"one/{PRESSES}"), checked=True
         )
-        recorder, mcap = (
-            RecordingWriter(root / "rec"),
-            McapRecorder(root / "mcap", "left"),
-        )
-        for one in (recorder, mcap):
-            one.begin("sensor_id: a\n", packed(plain))
+        recorder, mcap = RecordingWriter(root / "rec"), io.BytesIO()
+        recorder.begin("sensor_id: a\n", packed(plain))
+        writer = McapWriter(mcap, "left", chunk_bytes=1 << 14)
+        writer.attach("calibration.npz", packed(plain), 5)
         for k, image in enumerate((FREE, TOUCHED, FREE, TOUCHED)):
             pose = Pose(1000 + 7 * k, 0.1, -3.0, 1.0, 0.6, 0.0, -0.8, 0.0) if k % 2 else None
-            recorder.add(Frame(k, 1000 + 7 * k, 5, image, pose, 4 if pose else 0), png_of(image))
-            mcap.add(Frame(k, 1000 + 7 * k, 5, image, pose, 4 if pose else 0), png_of(image))
-        for one in (recorder, mcap):
-            one.finish({"frames": 4})
+            frame = Frame(k, 1000 + 7 * k, 5, image, pose, 4 if pose else 0)
+            recorder.add(frame, png_of(image))
+            writer.frame(f"{k:06d}.png", frame, png_of(image), 5)
+        recorder.finish({"frames": 4})
+        writer.finish()
         files = inside(root / "rec")
         damaged = tuple(name for name in files if not name.endswith((".yaml", ".npz")))
         made["recording"] = Kind(files, partial(read_recording, ""), damaged, checked=True)
-        whole = (root / "mcap/000.mcap").read_bytes()
-        made["MCAP"] = Kind({"a.mcap": whole}, partial(read_recording, "a.mcap"), checked=True)
+        made["MCAP"] = Kind(
+            {"a.mcap": mcap.getvalue()}, partial(read_recording, "a.mcap"), checked=True
+        )
     return made
 
 

@@ -12,7 +12,7 @@ from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.recording.frame_table import read_table
-from tacshade_edge.recording.recorder import McapRecorder, RecordingWriter, png_of
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.recording.recording import RecordedFrame, Recording
 from tacshade_edge.recording.recording_content import content_of, events_in, wall_minus_t_ns
 from tacshade_edge.types import U8, Frame, Pose
@@ -220,15 +220,13 @@ def test_after_a_crash_whole_frames_are_read(tmp_path: Path, lost: int) -> None:
 def test_a_disk_at_its_floor_takes_no_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorders = RecordingWriter(tmp_path / "png"), McapRecorder(tmp_path / "mcap", "left")
-    for recorder in recorders:
-        recorder.begin("sensor_id: a\n", packed(painted_calibration()))
+    recorder = RecordingWriter(tmp_path / "png")
+    recorder.begin("sensor_id: a\n", packed(painted_calibration()))
     monkeypatch.setattr("tacshade_edge.files.atomic_files.FREE_FLOOR_BYTES", 2**62)
-    for recorder in recorders:
-        assert not recorder.add(Frame(0, 0, 0, drawn(8, 8)), b"")
-        assert recorder.frames == 0
-        assert not [path for path in recorder.folder.iterdir() if path.name.startswith("000")]
-        recorder.close()
+    assert not recorder.add(Frame(0, 0, 0, drawn(8, 8)), b"")
+    assert recorder.frames == 0
+    assert not [path for path in recorder.folder.iterdir() if path.name.startswith("000")]
+    recorder.close()
     with pytest.raises(DeviceError, match=r"found \d+ MiB free on the disk, expected at least \d+"):
         RecordingWriter(tmp_path / "rec")
 

@@ -21,8 +21,8 @@ of one core over all threads, without the first seconds. With several runs the r
 each figure is the best of its runs.
 
 With ``--record`` the rows are the daemon without a recording, with a pre-roll of 10 s, and
-recording to the folder for temporary files as a folder and as MCAP; the bench also prints what
-encoding a grey and a colour frame costs.
+recording to the folder for temporary files; the bench also prints what encoding a grey and a colour
+frame costs.
 """
 
 from __future__ import annotations
@@ -71,13 +71,8 @@ ROWS = {  # name: program, ring, the subscriber's topics
     "free, null": (NULL_DAEMON, "free", "#"),
     "unasked": (RING_DAEMON, "contact", ""),
 }
-RECORDING = {"recording": "folder", "recording, mcap": "mcap"}  # row: format
-PRE_ROLL = "pre-roll"
-RECORD_ROWS = {
-    "contact": ROWS["contact"],
-    PRE_ROLL: ROWS["contact"],
-    **dict.fromkeys(RECORDING, ROWS["contact"]),
-}
+PRE_ROLL, RECORDING = "pre-roll", "recording"
+RECORD_ROWS = dict.fromkeys(("contact", PRE_ROLL, RECORDING), ROWS["contact"])
 
 
 def subscriber(port: int, warm_up: int, topics: str) -> None:
@@ -156,8 +151,8 @@ def measure(
     began_s = time.monotonic()
     worker = subprocess.Popen([sys.executable, "-m", program, config, str(args.fps), shown])
     try:
-        if name in RECORDING:
-            record(config, args.seconds, RECORDING[name])
+        if name == RECORDING:
+            record(config, args.seconds)
         pause.wait(began_s + SETTLE_S - time.monotonic())
         used_s, since_s = cpu_s(worker.pid), time.monotonic()
         pause.wait(began_s + args.seconds - since_s)
@@ -187,7 +182,7 @@ def measure(
     }
 
 
-def record(config: Path, seconds: float, format_: str) -> None:
+def record(config: Path, seconds: float) -> None:
     """Ask the daemon for a recording as soon as it runs; it ends a second before the run."""
     document, began_s = load(config), time.monotonic()
     caller = MqttCaller(
@@ -200,7 +195,7 @@ def record(config: Path, seconds: float, format_: str) -> None:
     if not caller.wait_for(lambda: caller.latest("state") == b"online", 20):
         raise SystemExit("daemon: the daemon does not come online")
     left_s = seconds - (time.monotonic() - began_s) - 1.0
-    caller.ask({"action": "start", "name": format_, "format": format_, "seconds": left_s}, 5)
+    caller.ask({"action": "start", "name": RECORDING, "seconds": left_s}, 5)
     caller.stop()
 
 
@@ -337,9 +332,9 @@ def main() -> int:
                 for row, what in rows.items():
                     shutil.rmtree(folder / "recs", ignore_errors=True)
                     runs[row].append(measure(row, what, folder, broker.port, args))
-                    if row in RECORDING:
+                    if row == RECORDING:
                         recorded = runs[row][-1]["health"]["recorder"]
-                        hours.append(an_hour(folder / "recs" / RECORDING[row], recorded, args.fps))
+                        hours.append(an_hour(folder / "recs" / RECORDING, recorded, args.fps))
         encoded = encoding(folder) if args.record else ""
     results = {row: best(made) for row, made in runs.items()}
     print(table(results))

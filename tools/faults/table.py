@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import struct
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -267,7 +266,6 @@ def bad_calibration(cell: Cell) -> Seen:
 
 
 FLOOR_MB = FREE_FLOOR_BYTES >> 20
-MCAP_MAGIC_BYTES, MCAP_CHUNK = 8, 6
 
 
 def _fill(disk: Path) -> Path:
@@ -310,30 +308,28 @@ def full_while_recording(cell: Cell) -> Seen:
     return Seen(lost, "`status/recorder`, log", detected_s, time.monotonic() - since_s)
 
 
-@fault("recordings read while they are written")
+@fault("a recording read while it is written")
 def read_while_recording(cell: Cell) -> Seen:
-    """Both kinds are read repeatedly from the beginning."""
+    """It is read repeatedly from the beginning."""
     cell.start()
-    reads = 0
-    for name, kind in (("r", "folder"), ("m", "mcap")):
-        cell.record(name, format=kind)
-        path, most = cell.folder / "recs" / name, 0
-        for _ in range(12):
-            stamps_ns, damage = frames_of(path / "000.mcap.part" if kind == "mcap" else path)
-            assert not damage, damage
-            assert len(stamps_ns) >= most, (len(stamps_ns), most)
-            most, reads = len(stamps_ns), reads + 1
-            pause(0.2)
-        assert most > 30, most
-        assert cell.ask("record", action="stop")["ok"]
-        cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
-        status = cell.last("status/recorder")
-        stamps_ns, damage = frames_of(path / "000.mcap" if kind == "mcap" else path)
-        assert (len(stamps_ns), damage, status["dropped"]) == (status["frames"], [], 0), (
-            damage,
-            status,
-        )
-        cell.mark()
+    reads, most = 12, 0
+    cell.record()
+    path = cell.folder / "recs/r"
+    for _ in range(reads):
+        stamps_ns, damage = frames_of(path)
+        assert not damage, damage
+        assert len(stamps_ns) >= most, (len(stamps_ns), most)
+        most = len(stamps_ns)
+        pause(0.2)
+    assert most > 30, most
+    assert cell.ask("record", action="stop")["ok"]
+    cell.until(lambda: cell.last("status/recorder").get("state") != "recording", 20, "its end")
+    status = cell.last("status/recorder")
+    stamps_ns, damage = frames_of(path)
+    assert (len(stamps_ns), damage, status["dropped"]) == (status["frames"], [], 0), (
+        damage,
+        status,
+    )
     return Seen(f"nothing in {reads} readings; each has what was written until then", "")
 
 
@@ -390,35 +386,6 @@ def flipped_bit(cell: Cell) -> Seen:
         detected_s,
         time.monotonic() - began_s,
     )
-
-
-@fault("two bits flipped in a recording as MCAP")
-def flipped_in_mcap(cell: Cell) -> Seen:
-    """The bits are in the first chunk and in a later chunk's length;
-    the daemon was killed before.
-    """
-    cell.start()
-    cell.record(frames=100, format="mcap")
-    cell.kill()
-    left = cell.folder / "recs/r/000.mcap.part"
-    content = bytearray(left.read_bytes())
-    whole = len(frames_of(left)[0])
-    chunks, at = list[int](), MCAP_MAGIC_BYTES
-    while at + 9 <= len(content):
-        kind, size = struct.unpack_from("<BQ", content, at)
-        if kind == MCAP_CHUNK and at + 9 + size < len(content):
-            chunks.append(at)
-        at += 9 + size
-    content[chunks[0] + 900] ^= 8
-    content[chunks[len(chunks) // 2] + 3] ^= 4
-    left.write_bytes(content)
-    cell.mark()
-    stamps_ns, damage = frames_of(left)
-    read, each = len(stamps_ns), -(-whole // len(chunks))
-    assert 2 <= len(damage) <= 4, damage  # a chunk may end inside a frame, which is reported, too
-    assert whole - 2 * each - 2 <= read < whole, (read, whole, len(chunks))
-    lost = f"{whole - read} frames of {whole}, in the two chunks of {len(chunks)}"
-    return Seen(lost, "`replay` names the bytes, exit code 1")
 
 
 @fault("a session's description cut")

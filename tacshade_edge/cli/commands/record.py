@@ -38,8 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"name of the recording: {RECORD_NAME_RULE} (default: date and time)",
         _name,
     )
-    text = "how to store the frames (default: %(default)s)"
-    parser.add_argument("--format", choices=("folder", "mcap"), default="folder", help=text)
     seconds = number(
         f"a number above 0 and at most {RECORD_S_MAX}", sys.float_info.min, RECORD_S_MAX
     )
@@ -66,12 +64,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         caller.start()
         name = {} if args.name is None else {"name": args.name}
-        format_ = (
-            {} if args.format == "folder" else {"format": args.format}
-        )  # older daemons do not know the key
-        folder = caller.ask(
-            {"action": "start", "seconds": args.seconds, **name, **format_}, ANSWER_S
-        )["folder"]
+        folder = caller.ask({"action": "start", "seconds": args.seconds, **name}, ANSWER_S)[
+            "folder"
+        ]
         ended = _follow(caller, folder, args.seconds, stop)
     finally:
         caller.stop()

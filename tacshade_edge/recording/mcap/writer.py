@@ -68,10 +68,8 @@ class McapWriter:
         sensor_id: str,
         *,
         chunk_bytes: int = CHUNK_BYTES,
-        compress: bool = True,
     ) -> None:
-        compression = CompressionType.ZSTD if compress else CompressionType.NONE
-        self._writer = Writer(stream, chunk_size=chunk_bytes, compression=compression)
+        self._writer = Writer(stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"tacshade-edge {installed_version()}")
         self._stream, self._sensor_id = stream, sensor_id
         self._channels: dict[str, int] = {}
