@@ -43,9 +43,12 @@ from tacshade_edge.wire.topics import (
 
 _log = logging.getLogger(__name__)
 
+# A viewer lists every sensor's channels, ten each, whether or not it shows them.
 SENSORS_MAX: Final = 32
+# Encoding a mesh makes a Python object of each vertex; five a second look fluent.
 SKIN_PERIOD_NS: Final = 200_000_000
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(.+)")
+# Reasons and slips are far shorter; what a stranger publishes as one may not be.
 _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
 # channel: its schema, and the sensor's topics that it is made from.
@@ -77,6 +80,7 @@ class _Sensor:
         self.state: State | Literal[""] = ""
         self._info: Info | None = None
         self._skin_ns = 0
+        # As functions: what nobody watches is never encoded.
         self._kept: dict[str, Callable[[], Any]] = {}
 
     @property
@@ -135,6 +139,7 @@ class _Sensor:
                 jpeg = decode_preview(topic, payload)
                 self._send("preview", lambda: made.picture(jpeg, self._id, now_ns))
             case "contact" | "touch" | "health":
+                # Decoded only to refuse what is malformed: viewers get the sensor's own bytes.
                 OF_SENSORS[topic].decode(topic, payload)
                 self._send(topic, lambda: payload)
             case "state":
@@ -158,8 +163,10 @@ class _Sensor:
             )
         self._send("height", lambda: made.image(message, self._id))
         self._pose(message)
+        # Maps in contact are thinned out; the end of a contact is always shown. After a restart of
+        # the sensor's board, its clock may be behind.
         if message.contact and 0 <= message.t_ns - self._skin_ns < SKIN_PERIOD_NS:
-            return  # maps in contact are thinned out; the end of a contact is always shown
+            return
         self._skin_ns = message.t_ns
         rows, cols = message.height_mm.shape
         grid = Grid(rows, cols, message.row0, message.col0, message.step_px)
@@ -213,8 +220,10 @@ class FoxgloveBridge:
             _Sensor.close,
         )
         self._refusals = Refusals()
+        # paho's thread hears, the main thread polls.
         self._lock = threading.Lock()
         self._changed = threading.Event()
+        # The first poll subscribes to what every sensor is known by.
         self._changed.set()
         self._viewers = Viewers(host, port, self._changed.set)
         self.port = self._viewers.port
@@ -235,6 +244,7 @@ class FoxgloveBridge:
                 return
             sensor_id, rest = found.groups()
             try:
+                # These two alone make room for a sensor: they come without a viewer's asking.
                 if rest == "info":
                     info = decode_info(payload)
                     if (
@@ -265,6 +275,7 @@ class FoxgloveBridge:
             self._viewers.send(self._own, counts)
         if not self._changed.is_set():
             return
+        # Before the viewers are asked: what changes meanwhile sets it again.
         self._changed.clear()
         topics = {
             f"tacshade/{sensor_id}/{name}"

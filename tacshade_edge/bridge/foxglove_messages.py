@@ -41,6 +41,7 @@ SKIN_CELLS_MAX: Final = 48
 """Cells along a side of the mesh; few, because encoding makes a Python object of each vertex."""
 
 _DEEPEST_MM: Final = 3.0
+# Made once: one for each vertex of each mesh would take longer than the mesh.
 _COLOURS: Final = [
     Color(r=0.35 + 0.6 * t, g=0.4 + 0.45 * t, b=0.55 - 0.4 * t, a=1.0)
     for t in np.linspace(0.0, 1.0, 64)
@@ -75,6 +76,7 @@ def frame_name(sensor_id: str, frame: Frame) -> str:
 
 
 def timestamp(wall_ns: int) -> Timestamp:
+    # The schema has 32 bits for the seconds; a board's clock may be set to any time.
     sec, nsec = divmod(wall_ns, 1_000_000_000)
     return Timestamp(sec=min(sec, 0xFFFFFFFF), nsec=nsec)
 
@@ -122,6 +124,7 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
         * M_PER_MM
     )
     there = np.isfinite(points).all(axis=-1)
+    # Cells outside the disc have no vertex, and a triangle needs all its corners.
     number = np.cumsum(there).reshape(there.shape) - 1
     quads = there[:-1, :-1] & there[1:, :-1] & there[:-1, 1:] & there[1:, 1:]
     a, b, c, d = (
@@ -136,6 +139,7 @@ def skin(height_mm: F32, grid: Grid, info: Info, sensor_id: str, wall_ns: int) -
         pose=Pose(position=Vector3(), orientation=Quaternion(w=1.0)),
         points=[Point3(x=x, y=y, z=z) for x, y, z in points[there].tolist()],
         colors=[_COLOURS[i] for i in depth.tolist()],
+        # In this order the triangles face outwards.
         indices=np.stack((a, b, c, b, d, c), axis=-1).ravel().tolist(),
     )
     frame_id = frame_name(sensor_id, "sensor")

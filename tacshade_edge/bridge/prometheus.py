@@ -20,6 +20,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.listener import Connections, Listener
 from tacshade_edge.wire.topics import ALIVE, STATES, Health, State, decode_health, decode_state
 
+# Five are missed before an alert: a busy network delays one or two.
 FRESH_S: Final = 5.0
 """Age at which a sensor's `health`, published once a second, is out of date."""
 
@@ -27,8 +28,10 @@ SENSORS_MAX: Final = 256
 CONNECTIONS_MAX: Final = 16
 """Limit on connections, each of which has a thread; further ones are closed at once."""
 _SPEAK_S: Final = 5.0
+# How late it may end; the default is 0.5 s.
 _POLL_S: Final = 0.1
 _TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(state|health)")
+# Prometheus wants base units.
 _S_PER_MS: Final = 0.001
 
 
@@ -80,6 +83,7 @@ class SensorMetrics:
         """Yield all current metrics; of a silent or stopped sensor only whether it is up
         and its state.
         """
+        # The lock covers only a copy: a slow scrape must not hold up paho's thread.
         with self._lock:
             sensors = list(self._sensors)
             refused = dict(self._refusals.counts)
@@ -119,6 +123,7 @@ class SensorMetrics:
             yield family
 
     def _hear(self, sensor_id: str, name: str, payload: bytes, *, retained: bool) -> None:
+        # Decoded first: what is malformed must not make room for itself.
         state = decode_state(payload) if name == "state" else None
         health = decode_health(payload) if name == "health" else None
         rank = 0 if health is None else 1 if retained else 2
@@ -151,10 +156,12 @@ class MetricsServer(ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
         handler = MetricsHandler.factory(registry)
+        # A connection that says nothing would keep its thread.
         handler.timeout = _SPEAK_S
         # HTTPServer would query a name server for the host's own name when it binds,
         # so skip its constructor.
         socketserver.TCPServer.__init__(self, (host, port), handler, bind_and_activate=False)
+        # The constructor has made one that accepts any number of connections.
         self.socket.close()
         self.socket = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
         self.server_address = self.socket.getsockname()

@@ -47,6 +47,7 @@ class Roster(Generic[T]):
         if sensor_id not in self._sensors:
             if len(self._sensors) >= self._most:
                 least = min(self._sensors, key=lambda name: self._rank(self._sensors[name]))
+                # Of equal rank, the earlier stays: invented ones would take turns.
                 if self._rank(self._sensors[least]) >= rank:
                     return None
                 self.drop(least)
@@ -67,6 +68,7 @@ class Refusals:
     def add(self, why: str, sensor_id: str, text: str) -> None:
         """Count a refusal; `why` is a key of `counts`. `sensor_id` may be any text."""
         self.counts[why] += 1
+        # A flood of millions takes twenty lines of the log.
         if (count := self.counts[why]).bit_count() == 1:
             shown = escaped(sensor_id, _ID_CHARS_MAX), escaped(text, _CHARS_MAX)
             _log.warning("%s: %s (%d such messages so far)", *shown, count)

@@ -1,8 +1,10 @@
 """Foxglove's WebSocket protocol with limits on the number of viewers and on what waits
 for a slow one.
 
-Only the SDK's encoders are used: its server accepts any number of connections, and stops listening
-for good once the process has no file descriptor left.
+Only the SDK's encoders are used, not its server (as of foxglove-sdk 0.30.3): it accepts any number
+of connections, and once the process has no file descriptor left it stops listening, for good and
+without a word; `stop` does not return while a connection is silent or a viewer reads nothing; and
+what waits for a viewer is bounded in messages, which may have megabytes each, not in bytes.
 """
 
 from __future__ import annotations
@@ -33,19 +35,25 @@ from tacshade_edge.wire.codec import decode_object
 _log = logging.getLogger(__name__)
 
 VIEWERS_MAX: Final = 16
+# More than viewers: some have not spoken yet, others are being told why they are turned away.
 CONNECTIONS_MAX: Final = 48
+# Below WAITING_BYTES_MAX: a larger message would push itself out of the queue.
 MESSAGE_BYTES_MAX: Final = 5 << 20
 WAITING_BYTES_MAX: Final = 8 << 20
 WAITING_MAX: Final = 256
 """Limits on what waits for one viewer, besides the message being sent;
 the oldest messages are dropped.
 """
+# Pongs do not wait in the queue: only the transport's buffer shows them.
 _UNSENT_BYTES_MAX: Final = 2 * MESSAGE_BYTES_MAX
+# Enough to subscribe to every channel of every sensor at once.
 _FROM_VIEWER_BYTES_MAX: Final = 1 << 16
+# A viewer that reads nothing keeps its sensors computing until it is disconnected, _STALL_S later.
 _SPEAK_S, _STALL_S, _CLOSE_S, _START_S = 5.0, 10.0, 0.5, 10.0
 _PROTOCOLS: Final = [Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1")]
 _MESSAGE: Final = struct.Struct("<BIQ")
-_TRY_AGAIN: Final = 1013  # WebSocket close code "try again later"
+# WebSocket's close code "try again later".
+_TRY_AGAIN: Final = 1013
 _SERVER_INFO: Final = json.dumps(
     {"op": "serverInfo", "name": "tacshade-edge", "capabilities": [], "metadata": {}}
 )
@@ -58,9 +66,8 @@ Schema: TypeAlias = foxglove.Schema | dict[str, Any]
 class _Viewer:
     socket: ServerConnection
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    subscriptions: dict[int, int] = field(
-        default_factory=dict
-    )  # from channel to the viewer's own number
+    # From channel to the viewer's own number.
+    subscriptions: dict[int, int] = field(default_factory=dict)
     waiting: deque[str | bytes] = field(default_factory=deque)
     waiting_bytes: int = 0
     missed: int = 0
@@ -98,9 +105,8 @@ class Viewers:
     def __init__(self, host: str, port: int, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
         self._numbers = itertools.count()
-        self._channels: dict[
-            int, dict[str, Any]
-        ] = {}  # as the protocol's `advertise` describes them
+        # As the protocol's `advertise` describes them.
+        self._channels: dict[int, dict[str, Any]] = {}
         self._viewers: list[_Viewer] = []
         self.missed = 0
         self._listener = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
@@ -129,6 +135,7 @@ class Viewers:
 
     def watched(self, number: int) -> bool:
         """Whether anybody watches a channel."""
+        # A copy: the server's thread changes the list meanwhile.
         return any(number in viewer.subscriptions for viewer in tuple(self._viewers))
 
     def send(self, number: int, payload: bytes) -> None:
@@ -159,8 +166,9 @@ class Viewers:
                 viewer.put(_MESSAGE.pack(1, subscription, log_ns) + payload)
 
     def _run(self, listening: threading.Event) -> None:
+        # Each connection of a port scanner would log a traceback.
         quiet = logging.getLogger("websockets.server.viewers")
-        quiet.setLevel(logging.CRITICAL)  # each connection of a port scanner would log a traceback
+        quiet.setLevel(logging.CRITICAL)
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._serve(listening, quiet))
 
@@ -170,6 +178,7 @@ class Viewers:
             sock=self._listener,
             create_connection=_Connection,
             subprotocols=_PROTOCOLS,
+            # Deflating a map would cost more time, and memory per viewer, than a network saves.
             compression=None,
             max_size=_FROM_VIEWER_BYTES_MAX,
             max_queue=4,

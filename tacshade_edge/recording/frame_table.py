@@ -21,15 +21,19 @@ from tacshade_edge.types import Pose
 _POSE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 HEADER = ("image", "t_ns", *_POSE)
 ERROR_COLUMN, CRC_COLUMN = "pose_error_us", "crc32"
-MORE = (ERROR_COLUMN, CRC_COLUMN)  # optional: older tables have neither, or only the first
+# Optional: older tables have neither, or only the first.
+MORE = (ERROR_COLUMN, CRC_COLUMN)
 TABLE_NAME = "frames.csv"
-T_NS_MAX = (
-    2**62
-)  # a looped recording continues from its last time, and the wire format holds 64 bits
-ROWS_MAX = 1 << 21  # 9.7 h at 60 frames/s
+# A looped recording continues from its last time, and the wire format holds 64 bits.
+T_NS_MAX = 2**62
+# 9.7 h at 60 frames/s.
+ROWS_MAX = 1 << 21
+# Far above the rounding of printed digits, far below columns in another order.
 UNIT_TOLERANCE = 1e-3
-ERROR_US_MAX = 2**32 - 1  # as in the wire format
+# As in the wire format.
+ERROR_US_MAX = 2**32 - 1
 _HEADERS: Final = [HEADER + MORE[:count] for count in range(len(MORE) + 1)]
+# A file without line ends must not become one line in memory.
 _LINE_BYTES_MAX: Final = 1 << 16
 
 
@@ -72,6 +76,7 @@ class FrameTable(Sequence[TableRow]):
 
     def __getitem__(self, index: Any) -> Any:
         """One row, or a list of rows for a slice."""
+        # Without a place in the file: they were checked when they were read.
         lines = self._lines[index]
         return (
             _row("", _cells("", lines))
@@ -109,6 +114,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                 where = f"{path}:{count}"
                 if cut_off and not line.endswith(b"\n"):
                     break
+                # Before the cells are parsed: a damaged number may look like another one.
                 columns, _, crc32 = line.rstrip(b"\r\n").rpartition(b",")
                 if header and header[-1] == CRC_COLUMN and crc32 != b"%08x" % zlib.crc32(columns):
                     rows.damaged += 1
@@ -117,10 +123,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                 if not (cells := _cells(where, line)):
                     continue
                 if not header:
-                    header = cells
-                    if tuple(header) not in _HEADERS:
-                        found = f"found the header {shown(','.join(header), 80)}"
-                        raise ConfigError(f"{where}: {found}, expected {','.join(_HEADERS[-1])}")
+                    header = _known_header(where, cells)
                     continue
                 if len(cells) != len(header):
                     raise ConfigError(
@@ -147,8 +150,16 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     return rows
 
 
+def _known_header(where: str, cells: list[str]) -> list[str]:
+    if tuple(cells) not in _HEADERS:
+        found = f"found the header {shown(','.join(cells), 80)}"
+        raise ConfigError(f"{where}: {found}, expected {','.join(_HEADERS[-1])}")
+    return cells
+
+
 def _cells(where: str, line: bytes) -> list[str]:
     """The cells of a line, none of which may hold a line's end. Raises ConfigError."""
+    # Spreadsheets begin a file with a byte order mark.
     try:
         return next(csv.reader((line.decode("utf-8-sig"),), strict=True, skipinitialspace=True), [])
     except (UnicodeDecodeError, csv.Error) as error:
@@ -182,6 +193,8 @@ def _row(where: str, cells: list[str]) -> TableRow:
 
 
 def _whole(text: str, most: int) -> bool:
+    # isdecimal alone also takes other scripts' digits, and int() refuses thousands of them with an
+    # error of its own.
     return text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= most
 
 
@@ -197,6 +210,7 @@ def _seven(where: str, cells: Sequence[str], tolerance: float) -> list[float]:
 
 POSES_HEADER = ("image", *_POSE)
 POSES_MAX = 100_000
+# People and robots' programs write this table, with few digits.
 _POSES_UNIT = 0.01
 
 

@@ -77,13 +77,15 @@ class RecordingWriter:
         """Write the calibration's file and the settings, which a replay needs,
         and open the events and the table.
         """
+        # Before any frame: a replay of a torn recording needs both.
         with disk_errors(self.folder):
             write_whole(self.folder / CALIBRATION_NAME, calibration)
             write_whole(self.folder / SETTINGS_NAME, settings_yaml.encode())
+            # Unbuffered: a line reaches the kernel whole, so that a dying process tears none.
             self._lines[EVENTS_NAME] = part(self.folder / EVENTS_NAME).open("wb", buffering=0)
-            fcntl.flock(
-                self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB
-            )  # until the recording is whole
+            # Until the recording is whole or the process ends: the dashboard leaves a locked one
+            # alone, however long no frame comes.
+            fcntl.flock(self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
             self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
             sync(self.folder)
@@ -93,6 +95,7 @@ class RecordingWriter:
         to the floor.
         """
         with disk_errors(self.folder):
+            # A full disk harms more than this recording.
             if is_nearly_full(self.folder):
                 return False
             self._write(f"{self.frames:06d}.png", frame, png)
@@ -101,6 +104,7 @@ class RecordingWriter:
         return True
 
     def _write(self, name: str, frame: Frame, png: bytes) -> None:
+        # The picture first: no line may name a file that is not there.
         write_whole(self.folder / name, png, sync=False)
         self._unsynced.append(self.folder / name)
         columns = f"{name},{frame.t_ns},{_columns(frame)}"
@@ -117,6 +121,7 @@ class RecordingWriter:
         syncing each frame alone would cost too much.
         """
         with disk_errors(self.folder):
+            # In the same order, for a power cut.
             for path in self._unsynced:
                 sync(path)
             self._unsynced.clear()
@@ -130,6 +135,7 @@ class RecordingWriter:
         with disk_errors(self.folder):
             for name in self._lines:
                 os.replace(part(self.folder / name), self.folder / name)
+            # Last: with it, the recording is whole.
             write_whole(self.folder / ABOUT_NAME, (json.dumps(about, indent=2) + "\n").encode())
             sync(self.folder)
         self.close()
@@ -143,5 +149,6 @@ class RecordingWriter:
 def _columns(frame: Frame) -> str:
     if (pose := frame.pose) is None:
         return ",,,,,,,"
+    # repr gives the same number again: a replay must publish the same bytes.
     values = (pose.x_mm, pose.y_mm, pose.z_mm, pose.qw, pose.qx, pose.qy, pose.qz)
     return ",".join((*(repr(float(v)) for v in values), str(frame.pose_error_us)))

@@ -91,6 +91,7 @@ class Recording:
             self.damage, self.images = self._rows.damage, len(self._rows)
         else:
             self.images = len(look_at(path)[0])
+        # Only our own folders state it; a video's frames have no Unix time.
         self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
         self.frames = self.images * times or None
         self._shift_ns = 0
@@ -146,6 +147,7 @@ class Recording:
             t_ns = row.t_ns + self._shift_ns
             pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
             yield replace(row, t_ns=t_ns, pose=pose), picture, wall_ns + self._shift_ns
+        # The next pass begins a mean period after this one's last frame.
         self._shift_ns += (
             last_ns
             - first_ns
@@ -207,23 +209,25 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         )
     if path.suffix.lower() in SUFFIXES:
         return [path], None
+    # Whatever the user's environment says; OpenCV reads it at each opening.
     os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     width, height = (
         int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     )
+    # Before a frame is decoded: memory for the stated size is allocated then.
     if video.isOpened() and (max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX):
         raise ConfigError(
             f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side"
         )
+    # isOpened is also true for a file none of whose frames can be decoded.
     if not video.isOpened() or not video.grab():
         raise ConfigError(
             f"{path}: found a file that OpenCV cannot read, "
             "expected a video file or a folder of images"
         )
-    return [], cv2.VideoCapture(
-        str(path), cv2.CAP_FFMPEG
-    )  # winding back finds no frame in a video of one
+    # Opened again: winding back finds no frame in a video of one.
+    return [], cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
 
 
 def _table_beside(path: Path, *, video_table: bool) -> Path | None:

@@ -30,6 +30,7 @@ _BYTES_MAX: Final = {
     EVENTS_NAME: 8 << 20,
     ABOUT_NAME: 1 << 20,
 }
+# Hostile JSON takes many times its size once parsed.
 _LINE_BYTES_MAX: Final = 1 << 16
 
 
@@ -66,6 +67,7 @@ def content_of(recording: Path) -> dict[str, bytes]:
             _log.warning("%s", line)
         return attached
     found = {name: data for name in _BYTES_MAX if (data := _read(recording / name)) is not None}
+    # A recorder that died, or still records, has not renamed them.
     unfinished = _read(part(recording / EVENTS_NAME))
     return (
         found if EVENTS_NAME in found or unfinished is None else found | {EVENTS_NAME: unfinished}
@@ -81,6 +83,7 @@ def events_in(content: dict[str, bytes]) -> Iterator[Event]:
 
 def wall_minus_t_ns(folder: Path) -> int:
     """Unix time minus the frames' clock in ns; 0 if the recording does not state it."""
+    # `recording.json` is written last; before, the event `start` has both clocks.
     about = _known(_read(folder / ABOUT_NAME) or b"", _Clocks)
     lines = _read(part(folder / EVENTS_NAME)) or _read(folder / EVENTS_NAME) or b""
     begun = (
@@ -95,7 +98,7 @@ def _known(given: bytes | dict[str, Any], kind: type[T]) -> T | None:
     """JSON as a record; None if it is none."""
     try:
         return msgspec.convert(json.loads(given) if isinstance(given, bytes) else given, kind)
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # the latter for JSON of a thousand levels
         return None
 
 
@@ -104,6 +107,7 @@ def _read(path: Path) -> bytes | None:
     try:
         return read_regular(path, bytes_max)
     except OSError as error:
+        # A recording need not have each of them, but one that is too large must not go unnoticed.
         if error.errno == errno.EFBIG:
             raise ConfigError(f"{shown(path)}: {error.strerror}") from None
         return None

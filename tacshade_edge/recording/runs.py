@@ -37,6 +37,7 @@ _ENCODERS = {
     CLOUDS: binary.encode_cloud,
     SHEARS: binary.encode_shear,
 }
+# The header's byte from which it states the payload's length (wire/wire_format.py).
 _PAYLOAD_BYTES_AT = 84
 _SUMMARY_BYTES_MAX = 1 << 28
 _OF_OBJECT = (
@@ -54,6 +55,7 @@ _OF_OBJECT = (
     "name",
     "probability",
 )
+# The others have four digits: 0.1 µm.
 _DIGITS = {"twist_deg": 3, "slip_mm_s": 3, "probability": 3}
 
 
@@ -71,6 +73,7 @@ class RunWriter:
         self._whole = False
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
+            # The summary first: without it there is no run, whatever else a crash leaves.
             for name in (SUMMARY, TIMINGS, *_ENCODERS):
                 (folder / name).unlink(missing_ok=True)
             for name in _ENCODERS:
@@ -81,6 +84,7 @@ class RunWriter:
         frame = recorded.frame
         with disk_errors(self._folder):
             for name, encode in _ENCODERS.items():
+                # `paper` computes none, and its file stays empty.
                 if name == SHEARS and result.shear_mm is None:
                     continue
                 payload = encode(
@@ -103,11 +107,11 @@ class RunWriter:
                 stream.flush()
                 os.fsync(stream.fileno())
                 stream.close()
-            lines = ",\n".join(
-                json.dumps(record) for record in self._records
-            )  # one line per record, for diff and grep
+            # One line per record, for diff and grep.
+            lines = ",\n".join(json.dumps(record) for record in self._records)
             for name in _ENCODERS:
                 part(self._folder / name).replace(self._folder / name)
+            # The summary last: with it, the run is whole.
             write_whole(self._folder / TIMINGS, (json.dumps(timings, indent=2) + "\n").encode())
             write_whole(self._folder / SUMMARY, f"[\n{lines}\n]\n".encode())
             sync(self._folder)
@@ -115,6 +119,7 @@ class RunWriter:
 
     def discard(self) -> None:
         """Remove an unfinished run; after `finish` only close the files."""
+        # What fails here must not hide the error that ended the run.
         for stream in self._streams.values():
             with contextlib.suppress(OSError):
                 stream.close()
@@ -159,6 +164,7 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
         with open_regular(path, sys.maxsize) as stream:
             while head := stream.read(binary.HEADER_BYTES):
                 size = int.from_bytes(head[_PAYLOAD_BYTES_AT : _PAYLOAD_BYTES_AT + 4], "little")
+                # Before it is read: a flipped bit may ask for 4 GB.
                 if size > binary.PAYLOAD_BYTES_MAX:
                     at = f"{path}, byte {stream.tell() - len(head) + _PAYLOAD_BYTES_AT}"
                     raise DecodeError(
@@ -218,6 +224,7 @@ def first_difference(folder: Path, against: Path) -> str:
     if all((run / SHEARS).exists() and (run / SHEARS).stat().st_size for run in runs):
         names.append(SHEARS)
     streams = [(name, payloads(folder, name), payloads(against, name)) for name in names]
+    # As far as both go; only if they are equal there is another length the difference.
     for index, (record, other) in enumerate(zip(records, others, strict=False)):
         found = _difference(record, other)
         for name, mine, theirs in streams:
@@ -247,6 +254,7 @@ def _difference(one: Any, two: Any) -> str:
     if isinstance(one, np.ndarray) and isinstance(two, np.ndarray):
         if one.shape != two.shape:
             return f"shape {one.shape}, against {two.shape}"
+        # NaN, outside the disc, is equal to NaN here.
         count = np.count_nonzero(~((one == two) | (np.isnan(one) & np.isnan(two))))
         return f"{count} of {one.size} values differ" if count else ""
     if isinstance(one, list) and isinstance(two, list):
@@ -277,6 +285,7 @@ def figures(folder: Path, against: Path) -> list[str]:
         if _answer(one) != _answer(two)
     ]
     first = f", first {changed[0]}" if changed else ""
+    # None: the depth is unknown.
     depths_mm = np.array(
         [[one.get("depth_max_mm") or 0.0, two.get("depth_max_mm") or 0.0] for one, two in pairs],
         float,

@@ -44,15 +44,15 @@ def mcap_export(
     wall_minus_t_ns: int | None = None
     with new_path(path) as partial, partial.open("wb") as stream:
         writer = McapWriter(stream, sensor_id)
-        about = {
-            "version": installed_version(),
-            "profile": profile,
-            "calibration_crc32": str(calibration.crc32),
-        }
-        writer.describe("tacshade", about | {"sensor_id": sensor_id})
+        numbers = {"profile": profile, "calibration_crc32": str(calibration.crc32)}
+        writer.describe(
+            "tacshade", {"version": installed_version(), **numbers, "sensor_id": sensor_id}
+        )
+        # Before the frames: of a file that is cut off they can still be read.
         for name, data in content.items():
             writer.attach(name, data, 0)
 
+        # Between the frames, because many readers take the file's order for that of time.
         def log(until_ns: float) -> None:
             while events and events[0].t_ns <= until_ns:
                 event = events.pop(0)
@@ -65,24 +65,30 @@ def mcap_export(
             frame, wall_ns = recorded.frame, recorded.wall_ns
             is_first, wall_minus_t_ns = wall_minus_t_ns is None, wall_ns - frame.t_ns
             log(frame.t_ns)
+            # Once: the sensor stays where it is mounted.
             if is_first:
                 mounted = transform_message(
                     calibration.flange_T_sensor, "flange", "sensor", sensor_id, wall_ns
                 )
                 writer.write("tf", mounted, wall_ns)
             writer.frame(recorded.name, frame, png_of(frame.image), wall_ns)
-            results = {
-                "height": height_message(result.height.height_mm, sensor_id, wall_ns),
-                "cloud": cloud_message(result.cloud, sensor_id, wall_ns),
-                "contact": json.dumps(contact_numbers(recorded, result)).encode(),
-                "touch": encode_touch(replace(result, wall_ns=wall_ns)),
-            }
-            for name, payload in results.items():
+            for name, payload in _results(recorded, result, sensor_id).items():
                 writer.write(name, payload, wall_ns, frame.seq)
 
         yield add
         log(float("inf"))
         writer.finish()
+
+
+def _results(recorded: RecordedFrame, result: Reconstruction, sensor_id: str) -> dict[str, bytes]:
+    wall_ns = recorded.wall_ns
+    return {
+        "height": height_message(result.height.height_mm, sensor_id, wall_ns),
+        "cloud": cloud_message(result.cloud, sensor_id, wall_ns),
+        "contact": json.dumps(contact_numbers(recorded, result)).encode(),
+        # The result of a recorded frame has no Unix time.
+        "touch": encode_touch(replace(result, wall_ns=wall_ns)),
+    }
 
 
 def write_hand_mcap(path: Path, hand_id: str, messages: Iterable[HandObjects]) -> int:

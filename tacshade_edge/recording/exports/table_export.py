@@ -57,9 +57,11 @@ def new_path(path: Path) -> Iterator[Path]:
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         require_free(path.parent)
+        # What a write that was killed left behind.
         _remove(partial)
         try:
             yield partial
+            # Before the rename: a power cut must not leave the final name on empty files.
             for written in (partial, *partial.rglob("*")):
                 sync(written)
             partial.rename(path)
@@ -79,11 +81,11 @@ def contact_numbers(recorded: RecordedFrame, result: Reconstruction) -> dict[str
     """The fields of ``contact`` (docs/reference/mqtt/frames.md) without ``fps``,
     which only a daemon knows.
     """
+    # By the daemon's own encoder, so that both round alike.
     numbers: dict[str, Any] = json.loads(encode_contact(result, fps=0.0))
     del numbers["fps"]
-    numbers["wall_ns"] = (
-        recorded.wall_ns
-    )  # a recording's results have none, so that equal recordings give equal bytes
+    # A recording's results have none, so that equal recordings give equal bytes.
+    numbers["wall_ns"] = recorded.wall_ns
     return numbers
 
 
@@ -150,6 +152,7 @@ def write_hand_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandOb
     rows = 0
     with new_path(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
+        # Any finger has all columns.
         of_fingers = (f"{name}_{key}" for name in fingers for key in _finger(Finger(state="away")))
         writer.writerow(("t_ns", "wall_ns", "seq", *_MOTION, *of_fingers))
         for rows, message in enumerate(messages, 1):  # noqa: B007
@@ -162,6 +165,7 @@ def write_hand_csv(path: Path, fingers: Sequence[str], messages: Iterable[HandOb
 
 
 def _motion(motion: Motion) -> list[Any]:
+    # The diagonal of 6x6 values, whose rounding may leave one just below 0.
     sigmas = [round(math.sqrt(max(0.0, motion.covariance[7 * k])), 4) for k in range(6)]
     return [
         motion.since_ns,

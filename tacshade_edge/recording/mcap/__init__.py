@@ -15,6 +15,7 @@ from tacshade_edge.version import how_to_install
 if TYPE_CHECKING:
     from tacshade_edge.recording.mcap.stored_frames import McapFrames
 
+# A writer that died, or still writes, leaves the second.
 _SUFFIXES = (".mcap", ".mcap.part")
 
 
@@ -31,6 +32,7 @@ def mcap_files(path: Path) -> list[Path]:
         return [path] if path.name.lower().endswith(_SUFFIXES) else []
     if table_in(path) is not None:
         return []
+    # Recorders number their files: 1000.mcap comes after 999.mcap.
     files = [file for file in path.iterdir() if file.name.lower().endswith(_SUFFIXES)]
     return sorted(
         files,

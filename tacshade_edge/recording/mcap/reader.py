@@ -41,18 +41,21 @@ from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import open_regular
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
-_HEAD: Final = struct.Struct("<BQ")  # kind, length
+# Kind, length.
+_HEAD: Final = struct.Struct("<BQ")
 _FILE_BYTES_MAX: Final = 1 << 40
 # Packed or not, or of a record outside chunks: a reader must hold it in memory.
 CHUNK_BYTES_MAX: Final = 32 << 20
-DESCRIPTION_BYTES_MAX: Final = 1 << 20  # of a schema or channel
+# Of a schema or channel, which are kept while the file is read.
+DESCRIPTION_BYTES_MAX: Final = 1 << 20
 # Enough for an index of 100 000 chunks, or 500 GB in chunks of the usual size.
 SUMMARY_BYTES_MAX: Final = 16 << 20
 # Greatest unpacked size over the file's size: lz4 cannot compress further. zstd can, and a file of
 # a few kB would then keep a reader busy for hours.
 _UNPACKED_MAX: Final = 256
 _UNPACKED_FREE_BYTES: Final = 16 << 20  # beyond `_UNPACKED_MAX`
-_DAMAGED_MAX: Final = 10_000  # places in a file, because a file full of damage takes time
+# Places in a file: each costs a line of the log.
+_DAMAGED_MAX: Final = 10_000
 _DAMAGED: Final = (ValueError, struct.error, McapError, zstandard.ZstdError, RuntimeError, EOFError)
 _KINDS: Final = frozenset(int(kind) for kind in Opcode)
 # Also what follows the data's end: a flipped bit may have hidden the end itself.
@@ -79,11 +82,12 @@ class Summary:
     begin: int
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    counts: dict[int, int] = field(
-        default_factory=dict
-    )  # messages in each channel, if the file states them
-    span_ns: tuple[int, int] | None = None  # times of the first and the last message
-    places: dict[int, int] = field(default_factory=dict)  # first byte to kind, where it states it
+    # Messages in each channel, if the file states them.
+    counts: dict[int, int] = field(default_factory=dict)
+    # Times of the first and the last message.
+    span_ns: tuple[int, int] | None = None
+    # First byte to kind, of the chunks and attachments that it names.
+    places: dict[int, int] = field(default_factory=dict)
 
 
 class McapFile:
@@ -96,7 +100,8 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self._name = shown(path)
         self._stream = _opened(path)
-        self._size = os.fstat(self._stream.fileno()).st_size  # it may grow
+        # Once: it may be growing.
+        self._size = os.fstat(self._stream.fileno()).st_size
         self._ends = self._read(max(0, self._size - len(_MAGIC)), len(_MAGIC)) == _MAGIC
         self.cut_off = not (self._ends and self._size >= 2 * len(_MAGIC))
         if self.cut_off and self._read(0, len(_MAGIC)) != _MAGIC:
@@ -177,13 +182,15 @@ class McapFile:
         """
         length = int.from_bytes(self._read(place.body + 16, 4), "little")
         name = str(self._read(place.body + 20, min(length, 255)), "utf-8", "replace")
-        try:  # other names too: a damaged name may have been one of these
+        # Other names, too: a damaged name may have been one of these.
+        try:
             if place.length > (most := bytes_max.get(name, CHUNK_BYTES_MAX)):
                 if name not in bytes_max:
                     return None
                 raise ValueError(f"found {place.length} bytes, expected at most {most}")
             body = self._read(place.body, place.length)
-            crc = int.from_bytes(body[-4:], "little")  # which the package skips
+            # The package skips the checksum.
+            crc = int.from_bytes(body[-4:], "little")
             if crc and zlib.crc32(body[:-4]) != crc:
                 raise ValueError("its checksum does not match")
             record = _record(Opcode.ATTACHMENT, body)
@@ -231,7 +238,8 @@ class McapFile:
         if not len(_MAGIC) <= begin <= footer_at or footer_at - begin > SUMMARY_BYTES_MAX:
             raise ValueError("another beginning")
         data = self._read(begin, self._size - begin)
-        if (  # the package does not check it
+        # The package does not check it.
+        if (
             footer.summary_crc
             and zlib.crc32(data[: footer_at - begin + _HEAD.size + 16]) != footer.summary_crc
         ):
@@ -295,6 +303,7 @@ def attachments_in(path: Path, bytes_max: dict[str, int]) -> tuple[dict[str, byt
 
 def _record(kind: int, body: bytes | memoryview) -> McapRecord | None:
     """The record, parsed by the package; None if its kind is unknown. Raises one of `_DAMAGED`."""
+    # A stream of its own: no length inside the record can reach beyond it.
     most = DESCRIPTION_BYTES_MAX if kind in (Opcode.SCHEMA, Opcode.CHANNEL) else len(body)
     stream = io.BytesIO(_HEAD.pack(kind, len(body)) + body)
     reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=most)
@@ -312,6 +321,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     """
     size, packed = chunk.uncompressed_size, chunk.data
     if chunk.compression == "zstd":
+        # The window is memory that the packed bytes ask for, beside what they unpack to.
         decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES_MAX)
         data = decompressor.stream_reader(packed).read(size)
     elif chunk.compression == "lz4":
@@ -331,7 +341,8 @@ def _opened(path: Path) -> BinaryIO:
     try:
         try:
             return open_regular(path, _FILE_BYTES_MAX)
-        except FileNotFoundError:  # its writer has ended it meanwhile
+        # Its writer has ended it meanwhile.
+        except FileNotFoundError:
             return open_regular(path.with_name(path.name.removesuffix(".part")), _FILE_BYTES_MAX)
     except OSError as error:
         raise ConfigError(

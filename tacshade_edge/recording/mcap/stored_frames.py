@@ -93,6 +93,7 @@ class McapFrames:
                 damage.append(f"{error}; leaving its frames out")
                 continue
             self._paths.append(path)
+        # Unknown as soon as one file does not state its own.
         stated = [span for span in spans if span is not None]
         self.length_ns = (
             max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
@@ -107,6 +108,7 @@ class McapFrames:
         """
         last_ns = -1
         self._unusable = 0
+        # Numbered over all files, as are the frames.
         images = ((path, found) for path in self._paths for found in self._images_in(path))
         for count, (path, found) in enumerate(images):
             where, too_many = "", self._unusable > _UNUSABLE_MAX
@@ -147,6 +149,7 @@ class McapFrames:
     def _images_in(self, path: Path) -> Iterator[_Image | DecodeError]:
         with contextlib.closing(McapFile(path)) as file:
             # The first of each id counts, because our writer repeats them and all copies are equal.
+            # From the index, too: the chunk that describes them may be damaged.
             schemas = dict(file.summary.schemas) if file.summary else {}
             channels = dict(file.summary.channels) if file.summary else {}
             about: FrameAbout | str | None = None
@@ -164,6 +167,7 @@ class McapFrames:
                         channel = channels.get(record.channel_id)
                         if channel is None:
                             unknown += 1
+                        # Our writer puts what is known of a frame before its image.
                         elif channel.metadata.get(OURS) == FRAME:
                             about = _about(record.data)
                         elif channel.topic == self.topic:
@@ -202,6 +206,7 @@ class McapFrames:
             return TableRow(str(count), message.log_time, None)
         if isinstance(about, str):
             raise DecodeError(about)
+        # Damage may have taken either of the two: they have one number.
         if about is None or about.seq != message.sequence:
             raise DecodeError(
                 "found no message with this image's time, expected one on the channel `frame` "
@@ -240,6 +245,7 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
                     schemas[record.id] = record
                 elif isinstance(record, DecodeError):
                     damage = damage or f"; {record}"
+                # Whatever other images the file has: an export also has height maps.
                 elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
                     return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
@@ -286,6 +292,7 @@ _ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
 
 
 def _compressed(data: bytes) -> U8:
+    # A camera's pixels as they are: a JPEG may ask to be turned.
     return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
@@ -303,6 +310,7 @@ def _raw(image: PixelRows) -> U8:
     pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[
         :, : cols * channels
     ]
+    # A copy: the view is read-only and would keep the message in memory.
     if channels == 1:
         return pixels.copy()
     pixels = pixels.reshape(rows, cols, channels)

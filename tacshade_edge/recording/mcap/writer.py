@@ -37,6 +37,7 @@ from tacshade_edge.version import installed_version
 from tacshade_edge.wire.messages import TOUCH_SCHEMA
 from tacshade_edge.wire.topics import Contact
 
+# What damage costs, at most.
 CHUNK_BYTES: Final = 1 << 20
 _MEDIA_TYPES: Final = {
     "yaml": "application/yaml",
@@ -69,6 +70,7 @@ class McapWriter:
         *,
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
+        # For maps and clouds: a PNG cannot be compressed further.
         self._writer = Writer(stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"tacshade-edge {installed_version()}")
         self._stream, self._sensor_id = stream, sensor_id
@@ -87,6 +89,7 @@ class McapWriter:
         about = FrameAbout(
             image=name, seq=frame.seq, t_ns=frame.t_ns, pose_error_us=error_us, **values
         )
+        # Before the picture: a reader that meets a picture knows its time.
         self.write(FRAME, msgspec.json.encode(about), wall_ns, frame.seq)
         if values:
             self.write(
@@ -103,7 +106,8 @@ class McapWriter:
         if name not in self._channels:
             self._channels[name] = self._registered(name)
         self._writer.add_message(self._channels[name], wall_ns, payload, wall_ns, seq)
-        if self._stream.tell() > self._chunk_at:  # a chunk was written
+        # The package does not say that it has ended a chunk: the stream has grown.
+        if self._stream.tell() > self._chunk_at:
             self._stream.write(self._described)
             self._chunk_at = self._stream.tell()
 
@@ -111,6 +115,7 @@ class McapWriter:
         """Write a file as an attachment."""
         media_type = _MEDIA_TYPES.get(name.rpartition(".")[2], "application/octet-stream")
         self._writer.add_attachment(wall_ns, wall_ns, name, media_type, data)
+        # The stream has grown, but by no chunk.
         self._chunk_at = self._stream.tell()
 
     def describe(self, name: str, about: Mapping[str, str]) -> None:
@@ -164,6 +169,7 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 
 def _with_what_it_imports(file: FileDescriptor, found: dict[str, FileDescriptor]) -> None:
+    # First what a file imports: readers build the types in this order.
     for other in file.dependencies:
         _with_what_it_imports(other, found)
     found[file.name] = file
