@@ -8,5 +8,6 @@ Other rooms use: `demo.child`, `demo.demo_hand`, `demo.touchpad`, `fitting.expla
     `simulator.script`, `simulator.sensor_model`, `simulator.tacshade`, `simulator.truth`,
     `studies.evaluate.accuracy`, `studies.evaluate.labelled`, `studies.evaluate.score`,
     `studies.evaluate.work`, `studies.markdown`, `studies.stitch.map_presses`,
-    `studies.stitch.map_truth`, `studies.tradeoff.measure`, `studies.tradeoff.tradeoff_report`.
+    `studies.stitch.map_truth`, `studies.tradeoff.judging`, `studies.tradeoff.measure`,
+    `studies.tradeoff.tradeoff_report`.
 """

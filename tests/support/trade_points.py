@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, Setting, Times
+from tacshade_edge.lab.studies.tradeoff.judging import Setting
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, Times
 
 
 def row(

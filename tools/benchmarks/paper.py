@@ -26,7 +26,7 @@ from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
 from tacshade_edge.lab.studies.evaluate.score import KnownTruth, score_cloud
 from tacshade_edge.lab.studies.evaluate.work import calibrated
 from tacshade_edge.lab.studies.markdown import markdown
-from tacshade_edge.lab.studies.tradeoff.measure import Parts
+from tacshade_edge.lab.studies.tradeoff.timing import Parts
 from tacshade_edge.sensor.depth import with_own_ratio
 from tacshade_edge.sensor.depth.hybrid_iteration import HybridIteration
 from tacshade_edge.sensor.depth.hybrid_sfs import finite_shape_grey

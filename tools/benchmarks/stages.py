@@ -26,7 +26,7 @@ import numpy as np
 from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated, reconstructor
 from tacshade_edge.lab.studies.markdown import markdown
-from tacshade_edge.lab.studies.tradeoff.measure import Parts
+from tacshade_edge.lab.studies.tradeoff.timing import Parts
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import STAGES, Reconstructor

@@ -30,16 +30,16 @@ from tacshade_edge.lab.studies.evaluate.work import (
     calibrate_sensors,
 )
 from tacshade_edge.lab.studies.tradeoff import tradeoff_report
-from tacshade_edge.lab.studies.tradeoff.measure import (
+from tacshade_edge.lab.studies.tradeoff.judging import (
     OUTPUTS,
     JudgedFrames,
     Setting,
     Simulation,
     judge,
-    measure,
     settings,
     simulated,
 )
+from tacshade_edge.lab.studies.tradeoff.measure import measure
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.image.preprocess import halved_calibration
 from tacshade_edge.sensor.profiles import PROFILES

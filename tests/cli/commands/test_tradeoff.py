@@ -16,7 +16,8 @@ from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import tradeoff
 from tacshade_edge.cli.commands.tradeoff import OwnTwin
 from tacshade_edge.lab.simulator.press import Press, ball
-from tacshade_edge.lab.studies.tradeoff.measure import JudgedFrames, Offer, Setting
+from tacshade_edge.lab.studies.tradeoff.judging import JudgedFrames, Setting
+from tacshade_edge.lab.studies.tradeoff.measure import Offer
 from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 

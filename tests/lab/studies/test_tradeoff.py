@@ -21,16 +21,15 @@ from support.trade_points import row
 from tacshade_edge.cli import main
 from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.lab.studies.evaluate.score import KnownTruth
-from tacshade_edge.lab.studies.tradeoff import measure, tradeoff_report
-from tacshade_edge.lab.studies.tradeoff.measure import (
+from tacshade_edge.lab.studies.tradeoff import judging, measure, timing, tradeoff_report
+from tacshade_edge.lab.studies.tradeoff.judging import (
     OUTPUTS,
-    Estimate,
-    Offer,
     Setting,
     Simulation,
     errors,
     settings,
 )
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer
 from tacshade_edge.lab.studies.tradeoff.tradeoff_report import Wish, choose
 from tacshade_edge.sensor.image.white import halved
 from tacshade_edge.types import Frame
@@ -106,12 +105,12 @@ def test_half_the_size_has_the_same_truth() -> None:
 
 @pytest.mark.slow  # it renders and starts interpreters
 def test_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure, "SLICE_MS", 5.0)
+    monkeypatch.setattr(timing, "SLICE_MS", 5.0)
     monkeypatch.setattr(measure, "ROUNDS", 3)
     one = Simulation("half", None, lambda: simulated(HALF), calibrated())
     some = settings(("fast",), one.calibration)
-    judged = measure.simulated(some, [one], ["ball"], ThisProcess(), quiet)
-    assert [each.touched for each in judged] == [True] * 3 + [False] * measure.NULL_FRAMES
+    judged = judging.simulated(some, [one], ["ball"], ThisProcess(), quiet)
+    assert [each.touched for each in judged] == [True] * 3 + [False] * judging.NULL_FRAMES
     threads = cv2.getNumThreads()
     rows, busy = measure.measure(
         some, [("height",), ("height", "shear", "sigma")], one.calibration, judged, quiet
@@ -131,7 +130,7 @@ def test_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (each.scenes, each.missed, each.untouched, each.phantoms) == (
             3,
             0,
-            measure.NULL_FRAMES,
+            judging.NULL_FRAMES,
             0,
         )
     assert rows[2].errors["height"] == rows[0].errors["height"]

@@ -16,7 +16,8 @@ from tacshade_edge.lab.parallel import usable_cores
 from tacshade_edge.lab.studies import markdown
 from tacshade_edge.lab.studies.evaluate.accuracy import versions
 from tacshade_edge.lab.studies.markdown import number
-from tacshade_edge.lab.studies.tradeoff.measure import OUTPUTS, Estimate, Offer, relative_errors
+from tacshade_edge.lab.studies.tradeoff.judging import OUTPUTS
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, relative_errors
 from tacshade_edge.quoting import counted
 
 HAND = 4
@@ -222,44 +223,8 @@ def draw(rows: Sequence[Offer], budget_ms: float | None) -> bytes:
             if row.outputs == outputs and math.isfinite(row.errors[name].value + row.times.p50_ms)
         ]
         for row in mine:
-            found, colour = (
-                row.errors[name],
-                _COLOURS[profiles.index(row.setting.profile) % len(_COLOURS)],
-            )
-            ends = (
-                None
-                if math.isnan(found.low)
-                else [[found.value - found.low], [found.high - found.value]]
-            )
-            style = {
-                "fmt": "o" if row.setting.half else "D",
-                "mfc": colour if row.setting.fitted else "white",
-            }
-            label = f"{row.setting.profile}, {row.image}" + (
-                ", fitted" if row.setting.fitted else ""
-            )
-            one.errorbar(
-                row.times.p50_ms,
-                found.value,
-                yerr=ends,
-                color=colour,
-                linewidth=0.8,
-                label=label,
-                **style,
-            )
-        front = sorted((row.times.p50_ms, row.errors[name].value) for row in mine if row.front)
-        one.plot(*zip(*front, strict=True), color="#888888", linewidth=1.2, zorder=1, label="front")
-        if budget_ms is not None:
-            one.axvline(
-                budget_ms, color="#888888", linestyle=":", label=f"budget, {budget_ms:g} ms"
-            )
-        one.set(
-            title=name,
-            xlabel="ms of a frame in contact, p50",
-            ylabel=f"{OUTPUTS[name].what}, {OUTPUTS[name].unit}",
-        )
-        one.set_xlim(left=0)
-        one.set_ylim(bottom=0)
+            _mark(one, row, name, _COLOURS[profiles.index(row.setting.profile) % len(_COLOURS)])
+        _finish(one, mine, name, budget_ms)
     for one in axes.flat[len(panels) :]:
         one.set_axis_off()
     figure.legend(
@@ -269,3 +234,35 @@ def draw(rows: Sequence[Offer], budget_ms: float | None) -> bytes:
         frameon=False,
     )
     return markdown.png(figure)
+
+
+def _mark(panel: Any, row: Offer, name: str, colour: str) -> None:
+    """Mark an output's error and its interval."""
+    found = row.errors[name]
+    known = not math.isnan(found.low)
+    panel.errorbar(
+        row.times.p50_ms,
+        found.value,
+        yerr=[[found.value - found.low], [found.high - found.value]] if known else None,
+        color=colour,
+        linewidth=0.8,
+        label=f"{row.setting.profile}, {row.image}{', fitted' * row.setting.fitted}",
+        fmt="o" if row.setting.half else "D",
+        mfc=colour if row.setting.fitted else "white",
+    )
+
+
+def _finish(panel: Any, rows: Sequence[Offer], name: str, budget_ms: float | None) -> None:
+    """Draw the front and the budget, and name the axes."""
+    front = sorted((row.times.p50_ms, row.errors[name].value) for row in rows if row.front)
+    panel.plot(*zip(*front, strict=True), color="#888888", linewidth=1.2, zorder=1, label="front")
+    if budget_ms is not None:
+        label = f"budget, {budget_ms:g} ms"
+        panel.axvline(budget_ms, color="#888888", linestyle=":", label=label)
+    panel.set(
+        title=name,
+        xlabel="ms of a frame in contact, p50",
+        ylabel=f"{OUTPUTS[name].what}, {OUTPUTS[name].unit}",
+    )
+    panel.set_xlim(left=0)
+    panel.set_ylim(bottom=0)
