@@ -136,6 +136,17 @@ class RpicamSource(Camera):
 
     def _first(self, stream: _Stream) -> Frame:
         """Return the first frame that has the requested exposure and no excess bytes."""
+        image, record = self._settled(stream)
+        period_us = _number(record, "FrameDuration")
+        age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
+        # A sensor's clock may be another than ours, so only an age that a frame can have shows
+        # that it is CLOCK_MONOTONIC.
+        self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
+        self._settings |= self._found(record, period_us)
+        return self._framed(image, record)
+
+    def _settled(self, stream: _Stream) -> tuple[U8, dict[str, str]]:
+        """Pass over frames until one has the requested exposure and is in step; return it."""
         in_step, was_in_step, exposure_us, gain = True, True, float("nan"), float("nan")
         for _ in range(_SETTLING):
             image, record = stream.next(_START_S)
@@ -143,50 +154,36 @@ class RpicamSource(Camera):
             was_in_step, in_step = in_step, stream.in_step()
             # Twice: if nine shorter frames fill eight of ours,
             # the ninth is reported too late to be noticed.
-            pairs = (
-                (exposure_us, self._exposure_us),
-                (gain, self._gain),
-            )  # a value that is missing counts as right
-            is_asked = all(
-                np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked for got, asked in pairs
-            )
+            is_asked = _is_near(exposure_us, self._exposure_us) and _is_near(gain, self._gain)
             if is_asked and in_step and was_in_step:
-                break
-        else:
-            if not (in_step and was_in_step):
-                raise stream.other_size()
-            asked = f"requested an exposure of {self._exposure_us} us and a gain of {self._gain:g}"
-            text = f"{self._name}: {asked}, but got {exposure_us:g} us and {gain:g}"
-            raise DeviceError(text, code=ReasonCode.NOT_OFFERED)
-        period_us = _number(record, "FrameDuration")
-        age_ns = time.monotonic_ns() - _number(record, "SensorTimestamp")
-        self._has_stamps = -1000 * period_us <= age_ns < _STAMP_AGE_MAX_NS
+                return image, record
+        if not (in_step and was_in_step):
+            raise stream.other_size()
+        asked = f"requested an exposure of {self._exposure_us} us and a gain of {self._gain:g}"
+        text = f"{self._name}: {asked}, but got {exposure_us:g} us and {gain:g}"
+        raise DeviceError(text, code=ReasonCode.NOT_OFFERED)
+
+    def _found(self, record: dict[str, str], period_us: float) -> dict[str, str | int | float]:
+        """What the camera does, from its first record."""
+        exposure_us = _number(record, "ExposureTime")
         exposure, white_balance = Control(Lock.LOCKED, exposure_us), Control(Lock.LOCKED)
-        focus = Control(
-            Lock.LOCKED, _number(record, "LensPosition")
-        )  # only a lens that moves has one
-        self._settings |= {
+        found: dict[str, str | int | float] = {
             "format": "YUV420",
             "fps_stated": round(1e6 / period_us, 2) if period_us > 0 else 0.0,
-            **{
-                "exposure": f"{exposure} us",
-                "exposure_lock": exposure.lock,
-                "exposure_value": exposure_us,
-            },
-            **{
-                "gain": round(gain, 3),
-                "white_balance": str(white_balance),
-                "white_balance_lock": white_balance.lock,
-            },
-            **(
-                {"focus": f"{focus} dioptres", "focus_lock": focus.lock}
-                if "LensPosition" in record
-                else {}
-            ),
+            "exposure": f"{exposure} us",
+            "exposure_lock": exposure.lock,
+            "exposure_value": exposure_us,
+            "gain": round(_number(record, "AnalogueGain"), 3),
+            "white_balance": str(white_balance),
+            "white_balance_lock": white_balance.lock,
+        }
+        if "LensPosition" in record:  # only a lens that moves has one
+            focus = Control(Lock.LOCKED, _number(record, "LensPosition"))
+            found |= {"focus": f"{focus} dioptres", "focus_lock": focus.lock}
+        return found | {
             "time_stamps": "sensor" if self._has_stamps else "on arrival",
             "drops": "inferred from time stamps" if self._has_stamps else "not known",
         }
-        return self._framed(image, record)
 
     def _framed(self, image: U8, record: dict[str, str]) -> Frame:
         now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
@@ -333,6 +330,11 @@ class _Stream:
 
 def _is_readable(fd: int) -> bool:
     return bool(select.select([fd], [], [], 0.0)[0])
+
+
+def _is_near(got: float, asked: float) -> bool:
+    """Whether a value is nearly as requested; one that is missing counts as right."""
+    return bool(np.isnan(got) or abs(got - asked) <= _EXPOSURE_OFF * asked)
 
 
 def _number(record: dict[str, str], key: str) -> float:

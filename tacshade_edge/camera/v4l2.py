@@ -201,7 +201,7 @@ class V4l2Source(Camera):
             code = ReasonCode.LOST if gone else ReasonCode.STALLED
             raise DeviceError(f"{self._name}: no frame within {waited_s:.1f} s: {why}", code=code)
 
-    def _decoded(self, capture: cv2.VideoCapture, grabbed: bool = False) -> Frame:
+    def _decoded(self, capture: cv2.VideoCapture, *, grabbed: bool = False) -> Frame:
         """Return the next frame that can be decoded; undecodable ones count as dropped."""
         size = 0
         for _ in range(_UNDECODABLE_MAX):

@@ -36,6 +36,7 @@ PLAYED_AS: Final = "recording"
 _ASK_S: Final = 5.0
 _END_S: Final = 3.0
 _READ_ONLY: Final = ("list", "download")
+_PARTS_MAX: Final = 2  # SENSOR/NAME with several sensors
 LISTED_MAX: Final = 200
 _LOOKED_AT_MAX: Final = 2000
 _ABOUT: Final = "recording.json"
@@ -80,7 +81,7 @@ def find(folder: Path, name: object) -> Path:
     Raises DeviceError for any other name and for links.
     """
     parts = name.split("/") if isinstance(name, str) else []
-    if not 1 <= len(parts) <= 2 or not all(_NAME.match(part) for part in parts):
+    if not 1 <= len(parts) <= _PARTS_MAX or not all(_NAME.match(part) for part in parts):
         raise DeviceError(
             f"found the name {shown(str(name))}, expected the name of a listed recording"
         )

@@ -32,6 +32,7 @@ another client's identifier would end its connection.
 _CONNECT: Final = 1
 # PUBACK, PUBREC, PUBREL, PUBCOMP, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, DISCONNECT
 _PASSING: Final = (4, 5, 6, 7, 8, 10, 12, 14)
+_CONNECT_BYTES_MIN: Final = 12  # name, version, flags, keep-alive, and the identifier's length
 _CLEAN: Final = 0x02
 _WILL: Final = 0x04
 
@@ -89,7 +90,7 @@ def _check(kind: int, body: bytes) -> None:
     if kind != _CONNECT:
         return
     name, version, flags, rest = body[:6], body[6:7], body[7:8], body[10:]
-    if name != b"\0\4MQTT" or version not in (b"\4", b"\5") or len(body) < 12:
+    if name != b"\0\4MQTT" or version not in (b"\4", b"\5") or len(body) < _CONNECT_BYTES_MIN:
         raise DecodeError(
             "found an unsupported or incomplete CONNECT packet, expected MQTT 3.1.1 or 5"
         )

@@ -5,16 +5,12 @@ all of it is bounded.
 from __future__ import annotations
 
 import asyncio
-import base64
 import contextlib
-import hashlib
 import logging
-import re
 import socket
 import ssl
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +22,7 @@ from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access
 from tacshade_edge.dashboard.access import Login
+from tacshade_edge.dashboard.page_files import File, load, security_headers
 from tacshade_edge.dashboard.recordings import RecordingCommands
 from tacshade_edge.dashboard.relay import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.errors import DeviceError
@@ -256,56 +253,33 @@ async def run(
 
     `listening(host, port)` is called once when the port is open; port 0 selects a free one.
     """
-    # A port scanner or a browser that gives up is not worth a log entry;
-    # each would cause a traceback.
-    quiet = logging.getLogger("websockets.server")
-    quiet.setLevel(logging.CRITICAL)
     asyncio.get_running_loop().set_exception_handler(report_device_errors)
     bounds = Bounds()
+    bridge = Bridge(broker, read_only=read_only)
+    commands = RecordingCommands(recordings, broker, read_only=read_only)
+
+    async def serve_page(page: ServerConnection) -> None:
+        assert page.request is not None
+        about_recordings = page.request.path.startswith("/recordings")
+        await (commands.serve(page) if about_recordings else bridge.carry(page))
+
     try:
         listener = Listener(host, port, bounds.admit)
-        tokens = (
-            Login(token, f"tacshade-{listener.getsockname()[1]}", secure=tls is not None)
-            if token
-            else None
-        )
-        # Compression would cost the board more than it saves:
-        # docs/how-to/dashboard.md has the figures.
-        bridge = Bridge(broker, read_only=read_only)
-        commands = RecordingCommands(recordings, broker, read_only=read_only)
+        # Browsers send a cookie to every port of a host: without the port in its name, two
+        # dashboards on one machine would log each other out.
+        cookie = f"tacshade-{listener.getsockname()[1]}"
+        tokens = Login(token, cookie, secure=tls is not None) if token else None
         files = load(read_only=read_only, recordings=recordings is not None)
-
-        async def serve_page(page: ServerConnection) -> None:
-            assert page.request is not None
-            await (
-                commands.serve(page)
-                if page.request.path.startswith("/recordings")
-                else bridge.carry(page)
-            )
-
         server = await serve(
             serve_page,
             sock=listener,
-            ssl=tls,
-            ssl_handshake_timeout=_SPEAK_S if tls else None,
-            ssl_shutdown_timeout=_CLOSE_S if tls else None,
             process_request=Pages(files, allowed_origins, bounds, tokens).answer,
             create_connection=bounds.connection(),
-            open_timeout=_SPEAK_S,
-            max_queue=_FRAMES_WAITING_MAX,
-            subprotocols=[Subprotocol("mqtt"), Subprotocol("tacshade-recordings")],
-            compression=None,
-            max_size=FROM_PAGE_BYTES_MAX,
-            server_header=None,
-            close_timeout=_CLOSE_S,
-            logger=quiet,
+            **_protocol(tls),
         )
     except OSError as error:
-        reason = error.strerror or error
-        expected = "expected an address and a free port of this machine"
-        raise DeviceError(
-            f"cannot listen on port {port} of {host}: {reason}; {expected}"
-        ) from error
+        why = f"{error.strerror or error}; expected an address and a free port of this machine"
+        raise DeviceError(f"cannot listen on port {port} of {host}: {why}") from error
     listening(*server.sockets[0].getsockname()[:2])
     await stop.wait()
     server.close()
@@ -314,73 +288,25 @@ async def run(
         await asyncio.wait_for(server.wait_closed(), _STOP_S)
 
 
-# Python's own table of types depends on the machine,
-# and browsers do not execute a module of a wrong type.
-_TYPES: Final = {
-    ".html": "text/html; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".svg": "image/svg+xml",
-    ".txt": "text/plain; charset=utf-8",
-}
-_HTML: Final = b'<html lang="en">'
-STATIC: Final = Path(__file__).parent / "static"
-
-
-@dataclass(frozen=True, slots=True)
-class File:
-    """One file as the server sends it; `etag` changes with the content."""
-
-    body: bytes
-    content_type: str
-    etag: str
-
-
-def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File]:
-    """Load every file of the page by its URL path;
-    the page is marked if it may send no requests or has recordings.
-    """
-    paths = [path for path in sorted(STATIC.rglob("*")) if path.suffix in _TYPES]
-    found = {
-        f"/{path.relative_to(STATIC)}": _file(path.read_bytes(), _TYPES[path.suffix])
-        for path in paths
-    }
-    index = found["/index.html"]
-    learns = b" data-read-only" * read_only + b" data-recordings" * recordings
-    index = found["/index.html"] = _file(
-        index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type
-    )
-    return {"/": index, "/login": found["/login.html"], **found}
-
-
-def security_headers(files: Mapping[str, File]) -> dict[str, str]:
-    """Return the headers of every answer: the page may only load its own files and connect
-    to its own server.
-
-    The one inline script, the import map, is allowed by its hash;
-    ``blob:`` allows the picture and mqtt.js's worker.
-    """
-    inline = re.findall(
-        rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL
-    )
-    hashes = " ".join(
-        f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline
-    )
-    policy = (
-        f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; "
-        "connect-src 'self'; worker-src blob:; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'"
-    )
+def _protocol(tls: ssl.SSLContext | None) -> dict[str, Any]:
+    """What every connection speaks, and the limits on it."""
+    # A port scanner or a browser that gives up is not worth a log entry;
+    # each would cause a traceback.
+    quiet = logging.getLogger("websockets.server")
+    quiet.setLevel(logging.CRITICAL)
     return {
-        "Content-Security-Policy": policy,
-        "X-Content-Type-Options": "nosniff",
-        "Referrer-Policy": "no-referrer",
-        "Cross-Origin-Resource-Policy": "same-origin",
-        # The browser revalidates every time, mostly with 304:
-        # after an upgrade no page mixes old and new files.
-        "Cache-Control": "no-cache",
+        "ssl": tls,
+        # asyncio refuses these two, even as numbers, on a socket without TLS.
+        "ssl_handshake_timeout": _SPEAK_S if tls else None,
+        "ssl_shutdown_timeout": _CLOSE_S if tls else None,
+        "open_timeout": _SPEAK_S,
+        "max_queue": _FRAMES_WAITING_MAX,
+        "subprotocols": [Subprotocol("mqtt"), Subprotocol("tacshade-recordings")],
+        # Compression would cost the board more than it saves:
+        # docs/how-to/dashboard.md has the figures.
+        "compression": None,
+        "max_size": FROM_PAGE_BYTES_MAX,
+        "server_header": None,
+        "close_timeout": _CLOSE_S,
+        "logger": quiet,
     }
-
-
-def _file(body: bytes, content_type: str) -> File:
-    return File(body, content_type, f'"{hashlib.sha256(body).hexdigest()[:16]}"')

@@ -72,7 +72,7 @@ def check_board(machine: Machine) -> Findings:
 
 
 def check_clock() -> Findings:
-    return (judge_clock(time.time(), Path(__file__).stat().st_mtime, synchronised()),)
+    return (judge_clock(time.time(), Path(__file__).stat().st_mtime, synced=synchronised()),)
 
 
 def synchronised() -> bool | None:
@@ -83,7 +83,7 @@ def synchronised() -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
-def judge_clock(now_s: float, installed_s: float, synced: bool | None) -> Finding:
+def judge_clock(now_s: float, installed_s: float, *, synced: bool | None) -> Finding:
     """Judge the wall clock's time and its synchronisation."""
     today = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
     keep = (
@@ -112,10 +112,10 @@ def check_disk(folder: Path) -> Findings:
     existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)
-    return (judge_disk(folder, status.f_bavail * status.f_frsize, read_only),)
+    return (judge_disk(folder, status.f_bavail * status.f_frsize, read_only=read_only),)
 
 
-def judge_disk(folder: Path, free_bytes: int, read_only: bool) -> Finding:
+def judge_disk(folder: Path, free_bytes: int, *, read_only: bool) -> Finding:
     if read_only:
         fix = (
             "remount it read-write; if the kernel made it read-only, "

@@ -22,6 +22,7 @@ from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
+_NOISE_IMAGES = 3  # of two, the noise would itself be too uncertain to judge
 _DAY_S = 86400
 _REZERO = (
     "while the daemon is running and nothing is touching the skin, publish {} to "
@@ -76,7 +77,7 @@ def load(document: Document) -> tuple[Calibration | None, Findings]:
     return calibration, (ok("calibration", found),)
 
 
-def check_images(calibration: Calibration, images: Sequence[U8], live: bool) -> Findings:
+def check_images(calibration: Calibration, images: Sequence[U8], *, live: bool) -> Findings:
     """Compare images with the calibration's reference;
     nothing should touch the skin in `live` ones, a camera's.
     """
@@ -137,7 +138,7 @@ def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
         f"noise of {renewed.noise_grey:.2f} grey levels, compared with "
         f"{calibration.noise_grey:.2f} at calibration"
     )
-    if len(images) < 3:
+    if len(images) < _NOISE_IMAGES:
         noise = "one image"
     elif renewed.noise_grey > max(_NOISE_LEVELS, _NOISIER * calibration.noise_grey):
         fix = (

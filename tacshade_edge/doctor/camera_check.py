@@ -30,6 +30,7 @@ from tacshade_edge.types import U8, Disc
 
 _FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _RATE_PART = 0.9
+_RATE_FRAMES = 10  # of fewer, a single late one decides
 _LOST_PART = 0.05  # a stream's start may cost a frame
 _AGE_MAX_S = 0.5
 _STOP = (
@@ -164,7 +165,7 @@ def check_other_source(captured: Captured, fps: float) -> Findings:
         )
     if not captured.images:
         return (fault("source", "delivered no image", "choose another source.path"),)
-    if len(captured.t_ns) < 10:
+    if len(captured.t_ns) < _RATE_FRAMES:
         return (ok("source", f"{len(captured.t_ns)} frames"), check_picture(captured.images[-1]))
     return (check_rate("source", fps, captured, _BUSY_MACHINE), check_picture(captured.images[-1]))
 

@@ -122,7 +122,7 @@ def _check_calibration(document: Document, seen: Seen) -> Findings:
     if known is None or not seen.captured.images:
         return findings
     is_camera = isinstance(document.settings.source, V4l2 | Rpicam)
-    return (*findings, *calibration_check.check_images(known, seen.captured.images, is_camera))
+    return (*findings, *calibration_check.check_images(known, seen.captured.images, live=is_camera))
 
 
 def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:

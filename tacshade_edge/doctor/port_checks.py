@@ -28,6 +28,7 @@ _BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
 though a camera may reserve more.
 """
 _MB: Final = 1e6
+_HIGH_MBIT, _SUPER_MBIT = 480, 5000  # of USB 2.0 and of USB 3.0
 
 
 def check_serial(machine: Machine, device: str | None = "") -> Findings:
@@ -140,14 +141,17 @@ class Port:
         """Limit for all streams in bytes/s; USB 2.0, table 5-5:
         six 1024-byte packets in each of 8000 microframes/s.
         """
-        if self.speed_mbit < 480:
+        if self.speed_mbit < _HIGH_MBIT:
             return 1023e3  # one packet a millisecond
-        return 6 * 1024 * 8000.0 if self.speed_mbit < 5000 else 400e6 * self.speed_mbit / 5000
+        if self.speed_mbit < _SUPER_MBIT:
+            return 6 * 1024 * 8000.0
+        return 400e6 * self.speed_mbit / _SUPER_MBIT
 
     @property
     def most_bytes_s_of_one(self) -> float:
         """Limit for one stream in bytes/s: three packets per microframe at 480 Mbit/s."""
-        return self.most_bytes_s / 2 if 480 <= self.speed_mbit < 5000 else self.most_bytes_s
+        halves = _HIGH_MBIT <= self.speed_mbit < _SUPER_MBIT
+        return self.most_bytes_s / 2 if halves else self.most_bytes_s
 
     def __str__(self) -> str:
         return f"{self.name} ({self.speed_mbit} Mbit/s)"

@@ -9,7 +9,7 @@ import pytest
 from support.page_server import TOKEN, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tacshade_edge.dashboard import server
+from tacshade_edge.dashboard import page_files
 from tacshade_edge.dashboard.access import PERIOD_S, WRONG_MAX, Login, refusal
 
 WORD = "a-token-of-this-test"
@@ -68,7 +68,7 @@ async def test_another_page_is_refused_before_any_byte_reaches_the_broker(
 
 async def test_without_the_token_there_is_a_login_and_nothing_else() -> None:
     async with tcp(echo) as broker, running(broker, token=TOKEN) as port:
-        for path in sorted(server.load()):
+        for path in sorted(page_files.load()):
             status, headers, body = await get(port, path)
             if path in ("/", "/index.html"):
                 assert (status, headers["location"], body) == (303, "login", b"")

@@ -78,18 +78,20 @@ def test_images(name: str) -> None:
     images, state, fix = CASES[name]
     found = {
         finding.check: finding
-        for finding in checked(check_images(calibrated(HALF), images(), True))
+        for finding in checked(check_images(calibrated(HALF), images(), live=True))
     }
     assert found["sensor"].state == state
     assert fix in found["sensor"].fix
 
 
 def test_a_camera_that_came_closer_and_files_that_show_presses() -> None:
-    found = check_images(calibrated(HALF), [closer(image) for image in free()], True)
+    found = check_images(calibrated(HALF), [closer(image) for image in free()], live=True)
     place = next(finding for finding in found if finding.check == "camera place")
     assert place.state == "warning"
     assert "move it back" in place.fix
-    assert states(check_images(calibrated(HALF), [pressed("ball", 3.0).image], False))[-1] == "ok"
+    assert (
+        states(check_images(calibrated(HALF), [pressed("ball", 3.0).image], live=False))[-1] == "ok"
+    )
 
 
 class Feels:
@@ -103,7 +105,7 @@ def test_a_touch_of_unknown_depth_is_no_rest(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(
         "tacshade_edge.doctor.calibration_check.make_reconstructor", lambda *_: Feels()
     )
-    live, shown = (check_images(calibrated(HALF), free(), live)[-1] for live in (True, False))
+    live, shown = (check_images(calibrated(HALF), free(), live=live)[-1] for live in (True, False))
     assert (live.state, shown.state) == ("warning", "ok")
     assert "its depth is unknown" in live.found
     assert shown.found.endswith("shows a touch of unknown depth")

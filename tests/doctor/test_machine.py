@@ -121,7 +121,7 @@ def test_power_and_governor(
     [(NOW_S, True, "ok"), (NOW_S, None, "ok"), (NOW_S, False, "warning"), (0.0, True, "fault")],
 )
 def test_clocks(now_s: float, synced: bool | None, state: str) -> None:
-    assert states([judge_clock(now_s, INSTALLED_S, synced)]) == [state]
+    assert states([judge_clock(now_s, INSTALLED_S, synced=synced)]) == [state]
     assert synchronised() in (True, False)
     assert states(check_clock())[0] in ("ok", "warning"), "this machine knows its year"
 
@@ -136,7 +136,7 @@ def test_clocks(now_s: float, synced: bool | None, state: str) -> None:
     ],
 )
 def test_disk(tmp_path: Path, free_bytes: int, read_only: bool, state: str) -> None:
-    assert states([judge_disk(Path("/var/lib/x"), free_bytes, read_only)]) == [state]
+    assert states([judge_disk(Path("/var/lib/x"), free_bytes, read_only=read_only)]) == [state]
     later = tmp_path / "a/b/c"
     assert str(later) in checked(check_disk(later))[0].found, "a folder that is not there yet"
 

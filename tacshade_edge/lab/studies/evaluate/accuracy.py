@@ -117,7 +117,7 @@ def table(rows: Sequence[Row]) -> str:
     objects and profiles, separately for each family.
     """
     families = markdown.grouped(rows, lambda row: family_of(row.sensor))
-    if len(families) < 2:
+    if len(families) <= 1:
         return _family_table(rows)
     return "\n\n".join(
         f"Family {family}\n\n{_family_table(some)}" for family, some in families.items()

@@ -234,9 +234,13 @@ def read_contact_frames(
 
 def _moves(poses: Sequence[Pose]) -> bool:
     """Whether the flange moves between two poses without a gap."""
-    if len(poses) < 2 or not 0 < (ns := poses[1].t_ns - poses[0].t_ns) <= GAP_MAX_NS:
+    if len(poses) == 1:
         return False
-    moved_mm, turned_deg = correction(of_pose(poses[0]), of_pose(poses[1]), np.zeros(3))
+    before, after = poses
+    ns = after.t_ns - before.t_ns
+    if not 0 < ns <= GAP_MAX_NS:
+        return False
+    moved_mm, turned_deg = correction(of_pose(before), of_pose(after), np.zeros(3))
     return moved_mm > _MOVING_MM_S * ns / 1e9 or turned_deg > _MOVING_DEG_S * ns / 1e9
 
 
