@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from tacshade_edge.calibration.files import press_table
-from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_cluster, add_option
+from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_cluster, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors
@@ -136,6 +136,8 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
     if args.cluster is not None and args.pad is None:
         args.parser.error("--cluster requires --pad: the other images take seconds")
+    if args.cluster is not None:
+        need("--cluster", "cluster", "dask", "distributed")  # before the other images
     model = _model(args.model, args.sensor_seed)
     model = flattened(model) if args.skin == "pad" else model
     sensor = SimulatedSensor(model)

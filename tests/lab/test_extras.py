@@ -1,0 +1,108 @@
+"""The laboratory: only commands open it, and what they need beyond it they name in one line."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.sensor_files import write_files
+
+from tacshade_edge.cli import EXIT_CONFIG, main
+from tools.ci.house import PACKAGE, ROOT, modules_of
+
+CLUSTER = ["--cluster", "tcp://127.0.0.1:8786"]
+HIDDEN = [
+    "torch",
+    "numba",
+    "matplotlib",
+    "websockets",
+    "iotcore",
+    "dask",
+    "distributed",
+    "foxglove",
+    "mcap",
+    "shtab",
+]
+BY_NAME = {
+    ("camera/sources.py", "lab.pressed_file.PressedFile"),
+    ("camera/sources.py", "lab.simulated_source.SimulatedSource"),
+}
+"""The sources of the settings that open it, each inside the function that makes it."""
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    return write_files(tmp_path_factory.mktemp("sensor"))
+
+
+def refused(words: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    assert main(words) == EXIT_CONFIG
+    (line,) = capfd.readouterr().err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("package", ["torch", "numba"])
+def test_a_fit_names_its_extra(
+    package: str,
+    sensor: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    for each in ("torch", "numba"):
+        monkeypatch.setitem(sys.modules, each, sys.modules[__name__])
+    monkeypatch.setitem(sys.modules, package, None)
+    line = refused(["calibrate", *sensor, "--fit", "--out", str(tmp_path / "cal.npz")], capfd)
+    assert f"--fit: the package {package} is not installed; to install it: pip install" in line
+    assert line.endswith("then pip install '.[fit]' in the clone")
+
+
+@pytest.mark.parametrize(
+    ("words", "package", "extra"),
+    [
+        (["simulate", "--pad", "PAD", "--out", "OUT", *CLUSTER], "dask", "cluster"),
+        (["evaluate", *CLUSTER], "dask", "cluster"),
+        (["tradeoff", *CLUSTER], "distributed", "cluster"),
+        (["tradeoff", "--calibration", "cal.npz"], "numba", "fit"),
+        (["demo"], "websockets", "demo"),
+    ],
+)
+def test_a_command_names_the_extra_that_it_needs(
+    words: list[str],
+    package: str,
+    extra: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert refused(words, capfd).endswith(f"pip install '.[{extra}]' in the clone")
+    assert not list(tmp_path.iterdir()), "it says so before any work"
+
+
+@pytest.mark.slow  # it starts an interpreter
+def test_no_command_needs_an_extra_before_it_runs() -> None:
+    names = sorted(path.stem for path in (ROOT / PACKAGE / "cli" / "commands").glob("[a-z]*.py"))
+    lines = [
+        "import importlib, sys",
+        f"sys.modules |= dict.fromkeys({HIDDEN})",
+        f"for name in {names}:",
+        f"    importlib.import_module(f'{PACKAGE}.cli.commands.{{name}}')",
+    ]
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], cwd=ROOT, check=True)
+
+
+@pytest.mark.slow  # it parses the whole package
+def test_only_commands_and_two_sources_open_the_laboratory() -> None:
+    found = {
+        (path.relative_to(ROOT / PACKAGE).as_posix(), ".".join(module))
+        for path in (ROOT / PACKAGE).rglob("*.py")
+        if path.relative_to(ROOT / PACKAGE).parts[0] not in ("cli", "lab")
+        for module in modules_of(ast.parse(path.read_text(encoding="utf-8")))
+        if module[0] == "lab"
+    }
+    assert found == BY_NAME
