@@ -98,7 +98,8 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
 
 def test_a_recording_is_played_and_ended_from_the_list(page: Chrome, tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
-    path = write_recording(folder / "press-1", [FREE] * 3 + [TOUCHED] * 300, 33_000_000)
+    # Half a minute: a busy machine takes some seconds to draw its first picture.
+    path = write_recording(folder / "press-1", [FREE] * 3 + [TOUCHED] * 300, 100_000_000)
     calibration_file.save(path / "calibration.npz", painted_calibration())
     (path / "recording.json").write_text(json.dumps({"frames": 303, "bytes": 9_000_000}))
     recorded(folder, "broken", 1)  # without a calibration of its own
