@@ -52,12 +52,14 @@ class FilesSource:
         self._seq += 1
         image = entry.picture()
         height, width = image.shape[:2]
+        # Calibrations are for one size: a folder in which sizes are mixed is two sensors.
         self._size = self._size or (height, width)
         if self._size != (height, width):
             expected = f"{self._size[1]}x{self._size[0]} px, the first image's size"
             raise DecodeError(
                 f"{self._path}: {row.image}: found {width}x{height} px, expected {expected}"
             )
+        # The pose is dated anew with its frame: a table of last year is played now.
         pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
         return Frame(seq, t_ns, wall_ns, image, pose, row.pose_error_us)
 
@@ -75,6 +77,8 @@ class FilesSource:
         if late_ns < 0:
             time.sleep(-late_ns / 1e9)
         else:
+            # The schedule moves with a late reader, whom frames that fell due meanwhile would
+            # otherwise reach as a burst.
             self._due_ns += late_ns
         self._due_ns += self._period_ns
         return entry

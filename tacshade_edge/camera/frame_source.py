@@ -51,8 +51,12 @@ class FrameSource(Protocol):
         """
 
 
-_WINDOW = 64  # number of intervals that give the period: about two seconds at 30 fps
+# Long enough that a lost frame hardly moves the period, short enough that a camera which changes
+# its rate is believed after about two seconds at 30 fps.
+_WINDOW = 64
 _ROUNDS = 2
+# Relative: an interval this near the period is one period, however the estimate changes, so most
+# frames cost no sort of the window.
 _REGULAR = (
     0.2  # relative: an interval this near the period is one period, however the estimate changes
 )
@@ -104,6 +108,7 @@ class FrameGaps:
 
 
 def _period_ns(ordered_ns: list[int]) -> float:
+    # The lower quartile, not the median: it is still one period when every third frame is lost.
     period_ns = float(ordered_ns[len(ordered_ns) // 4])
     for _ in range(_ROUNDS):
         # In a sum of intervals the jitter cancels, except that of the first and the last stamp.
@@ -122,7 +127,9 @@ class Camera(ABC):
     def __init__(self, name: str, device: str) -> None:
         self._name, self._device = name, device
         self._pending: Frame | None = None
-        self._proven = False  # this configuration gave frames before
+        # A camera that worked before and now offers less was unplugged, or another program changed
+        # it: that may pass, so it is no ConfigError, for which the daemon would end.
+        self._proven = False
         self._has_stamps = False  # the device's time stamps are CLOCK_MONOTONIC
         self._gaps = FrameGaps()
         self._seq = -1
@@ -173,11 +180,13 @@ class Camera(ABC):
         t_ns, lost = now_ns, 0
         if self._has_stamps and stamp_ns is not None:
             lost = self._gaps.add(stamp_ns)
+            # A driver may stamp ahead of the clock; a frame dated after its arrival would be
+            # matched with a pose that is not there yet.
             t_ns = min(stamp_ns, now_ns)
         else:
-            self._gaps.add(
-                now_ns
-            )  # for the measured rate only; arrival is too uneven to reveal losses
+            # Only for the measured rate: arrival is too uneven to reveal losses.
+            self._gaps.add(now_ns)
+        # A lost frame keeps its number, so that receivers see the gap.
         self._seq += 1 + lost
         self._dropped += lost
         return t_ns

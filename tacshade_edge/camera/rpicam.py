@@ -32,7 +32,9 @@ _log = logging.getLogger(__name__)
 PROGRAM = "rpicam-vid"
 _STALL_S = 2.0
 _START_S = 5.0  # a cold board loads libcamera and tunes the sensor
+# Between SIGINT and SIGKILL; libcamera stops the sensor meanwhile.
 _END_S = 1.0
+# As of V4L2: another clock than CLOCK_MONOTONIC is off by far more.
 _STAMP_AGE_MAX_NS = 1_000_000_000
 _SETTLING = 30  # number of first frames that may not yet have the requested exposure
 _EXPOSURE_OFF = 0.05  # relative deviation: a sensor exposes whole lines
@@ -52,12 +54,16 @@ def _command(
     height_px, width_px = shape
     command = [PROGRAM, "--camera", str(camera)]
     command += ["--width", str(width_px), "--height", str(height_px), "--framerate", f"{fps:g}"]
+    # White balance at gains of 1: it precedes the luma, so an automatic one would change grey
+    # levels.
     command += ["--shutter", str(exposure_us), "--gain", f"{gain:g}", "--awbgains", "1,1"]
     place = "default" if lens_position is None else f"{lens_position:g}"
     command += ["--autofocus-mode", "manual", "--lens-position", place]
     if sensor_mode:
         command += ["--mode", sensor_mode]
+    # Colour is thrown away, so its denoiser would only cost time; a time-out of 0 is none.
     command += ["--denoise", "cdn_off", "--codec", "yuv420", "--timeout", "0"]
+    # Flushed after every frame: the pipe would otherwise hold one back.
     command += ["--nopreview", "--verbose", "0", "--flush", "--output", "-"]
     command += ["--metadata-format", "txt", "--metadata"]
     return tuple(command)
@@ -92,6 +98,7 @@ class RpicamSource(Camera):
         )
         self._settings = {"width_px": width_px, "height_px": height_px, "fps_asked": fps}
         self._stream: _Stream | None = None
+        # Passed-over frames go here: they must be read, and nobody keeps them.
         self._unseen: U8 = np.empty(height_px * width_px * 3 // 2, np.uint8)
 
     def open(self) -> None:
@@ -220,6 +227,7 @@ class _Stream:
                 )
             raise DeviceError(f"{name}: {why}", code=code) from None
         finally:
+            # Ours, too: as long as any copy is open, reading would not find the end.
             os.close(write_end)
         assert self._process.stdout
         assert self._process.stderr
@@ -239,8 +247,12 @@ class _Stream:
         while have < self._bytes or b"\n\n" not in self._unread:
             whole = have == self._bytes
             awaited = self._others if whole else [*self._others, self._frames]
+            # Both pipes at once: a program that waits to write to one of them sends nothing into
+            # the other.
             ready = select.select(awaited, [], [], limit_s)[0]
             if not ready:
+                # A frame is there, its record is not, and more bytes wait: the stream is out of
+                # step.
                 if whole and _is_readable(self._frames):
                     raise self.other_size()
                 text = f"{self._name}: the camera has stalled and is sending no frames"
@@ -279,6 +291,7 @@ class _Stream:
         process = self._process
         assert process.stdout
         assert process.stderr
+        # Before the signal: a program that is blocked writing a frame does not see it.
         process.stdout.close()
         process.stderr.close()
         os.close(self._records)
@@ -299,6 +312,7 @@ class _Stream:
     def _ended(self) -> DeviceError:
         """Return the error for a program that closed its pipes, with its own last message."""
         with contextlib.suppress(subprocess.TimeoutExpired):
+            # Its last words come with its end; without waiting, its status is not known.
             self._process.wait(_END_S)
         while self._errors in self._others and _is_readable(self._errors):
             self._hear()
@@ -312,6 +326,7 @@ class _Stream:
             lines[-1] if lines else "no output",
         )
         why = why.removeprefix("ERROR:").strip(" *")
+        # Words of libcamera ("failed to acquire camera", "no cameras available").
         codes = {"acquire": ReasonCode.IN_USE, "available": ReasonCode.ABSENT}
         code = next((code for word, code in codes.items() if word in why), ReasonCode.LOST)
         status = self._process.returncode

@@ -53,6 +53,7 @@ def best_size(offered: Iterable[tuple[int, int]]) -> tuple[int, int]:
     The default if the camera offers none that holds it.
     """
     cols, rows = DEFAULT_SIZE_PX
+    # A larger size than needed costs time for every frame, a smaller one accuracy.
     large = [size for size in offered if size[0] >= cols and size[1] >= rows]
 
     def cost(size_px: tuple[int, int]) -> tuple[bool, int]:
@@ -70,6 +71,8 @@ def make_source(source: Source, size_px: tuple[int, int] | None = None) -> Frame
     source = sized(source, size_px)
     match source:
         case V4l2():
+            # Imported only now: the rest of the program needs neither OpenCV's video nor the
+            # laboratory.
             from tacshade_edge.camera.v4l2 import V4l2Source
 
             return V4l2Source(**msgspec.structs.asdict(source))
@@ -109,6 +112,7 @@ def check_source(document: Document) -> None:
     source = document.settings.source
     if isinstance(source, Files):
         first_size(document, source)
+    # A camera that is absent may appear later; a path to something else never becomes one.
     elif isinstance(source, V4l2):
         try:
             v4l2_node.check_kind(source.device)

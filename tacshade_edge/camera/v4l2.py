@@ -29,7 +29,9 @@ _log = logging.getLogger(__name__)
 
 FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
 _STALL_S = 2  # OpenCV's own limit is 10 s per read
+# As the kernel would give. More would only age: the grab thread takes every frame at once.
 _BUFFERS = 4
+# Another clock than CLOCK_MONOTONIC, such as the time of day, is off by far more than this.
 _STAMP_AGE_MAX_NS = 1_000_000_000
 _UNDECODABLE_MAX = 30  # in a row: about a second at 30 fps
 
@@ -127,6 +129,7 @@ class V4l2Source(Camera):
     def _negotiate(self, capture: cv2.VideoCapture) -> dict[str, str | int | float]:
         """Set everything in the order that drivers need, and read everything back."""
         height_px, width_px = self._shape
+        # The format first: it decides which sizes there are, and the size which rates.
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*self._fourcc))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, width_px)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height_px)
@@ -140,6 +143,7 @@ class V4l2Source(Camera):
         )
         width_got = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height_got = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        # Read back, because OpenCV returns True for what the driver replaced.
         if (fourcc, width_got, height_got) != (self._fourcc, width_px, height_px):
             offered = set(v4l2_node.formats(self._device))
             usable = ", ".join(code for code in FOURCCS if code in offered) or "none of our formats"
@@ -155,7 +159,9 @@ class V4l2Source(Camera):
                 else f"but got {exposure.value:g}"
             )
             raise self._refused(f"requested exposure {self._exposure}, {got}")
+        # Only the luma is used, but gains of the colours change it too.
         white_balance = v4l2_node.lock_white_balance(capture)
+        others = v4l2_node.lock_others(self._device)
         return {
             "format": fourcc,
             "width_px": width_got,
@@ -167,10 +173,7 @@ class V4l2Source(Camera):
             **({} if exposure.value is None else {"exposure_value": exposure.value}),
             "white_balance": str(white_balance),
             "white_balance_lock": white_balance.lock,
-            **{
-                f"{name}_lock": control.lock
-                for name, control in v4l2_node.lock_others(self._device).items()
-            },
+            **{f"{name}_lock": control.lock for name, control in others.items()},
         }
 
     def _refused(self, what: str) -> TacshadeError:
@@ -182,6 +185,7 @@ class V4l2Source(Camera):
         self._grab(capture)
         age_ns = time.monotonic_ns() - _kernel_stamp_ns(capture)
         self._has_stamps = (
+            # Up to a period ahead of the clock is still that clock (see above).
             -1e9 / max(float(self._settings["fps_stated"]), 1.0) <= age_ns < _STAMP_AGE_MAX_NS
         )
         self._settings["time_stamps"] = "kernel" if self._has_stamps else "on arrival"
@@ -192,6 +196,8 @@ class V4l2Source(Camera):
         if not capture.grab():
             waited_s = (time.monotonic_ns() - began_ns) / 1e9
             # Reading a device that is gone fails at once, although OpenCV still reports it as open.
+            # Nothing but the waiting time tells the two apart: OpenCV passes no error of the
+            # kernel's on.
             gone = waited_s < 0.5 * _STALL_S
             why = (
                 "the device is gone, or its driver has stopped"
@@ -208,6 +214,8 @@ class V4l2Source(Camera):
             if not grabbed:
                 self._grab(capture)
             grabbed = False
+            # Between grab and decoding: a JPEG takes milliseconds, which are not the age of the
+            # frame.
             now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
             t_ns = self._date(_kernel_stamp_ns(capture), now_ns)
             ok, raw = capture.retrieve()
@@ -241,15 +249,18 @@ def decode(raw: U8, fourcc: str, height_px: int, width_px: int) -> U8 | None:
     channels = 2 if fourcc == "YUYV" else 1
     if raw.size != luma_px * channels:
         return None
+    # YUYV interleaves: every other byte is luma.
     return np.ascontiguousarray(raw.reshape(height_px, width_px, channels)[:, :, 0])
 
 
 def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
     data = raw.tobytes()
+    # Without this test OpenCV would also decode a PNG or a TIFF, which no camera sends.
     if not data.startswith(b"\xff\xd8"):
         return None
     try:
-        whole = data[: data.rfind(b"\xff\xd9") + 2]  # cameras append padding of any length
+        # From the last end marker on it is padding, which cameras append in any length.
+        whole = data[: data.rfind(b"\xff\xd9") + 2]
         image = decode_image(whole, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     except DecodeError:
         return None
@@ -258,5 +269,6 @@ def _decode_jpeg(raw: U8, height_px: int, width_px: int) -> U8 | None:
 
 def _kernel_stamp_ns(capture: cv2.VideoCapture) -> int:
     return (
+        # OpenCV makes milliseconds of them as a float; the kernel counts whole microseconds.
         round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1000) * 1000
-    )  # the kernel counts whole microseconds
+    )

@@ -21,6 +21,8 @@ from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import ReasonCode
 
 # linux/videodev2.h
+# The numbers contain the sizes of their structures, which have no pointers: every processor has the
+# same.
 _VIDIOC_G_CTRL, _VIDIOC_S_CTRL = 0xC008561B, 0xC008561C
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
@@ -65,12 +67,16 @@ def check_node(device: str) -> str:
     or may not be opened; the message says which, in one line).
     """
     with _opened(device) as fd:
+        # struct v4l2_capability: driver 16 bytes, card 32, bus 32, version, capabilities,
+        # device_caps.
         capability = bytearray(104)
         try:
             fcntl.ioctl(fd, _VIDIOC_QUERYCAP, capability)
         except OSError as error:
             text = f"camera {device}: its driver does not answer ({error.strerror})"
             raise DeviceError(text, code=ReasonCode.NO_ANSWER) from None
+    # device_caps, of this node, not capabilities, of all nodes of the camera: a USB camera has one
+    # for metadata beside the one that captures.
     if not int.from_bytes(capability[88:92], "little") & _CAPTURE:
         found = "this device node is for output or metadata and captures no video"
         text = f"camera {device}: {found}; v4l2-ctl --list-devices shows the other nodes"
@@ -103,9 +109,11 @@ def frame_sizes(device: str, fourcc: str) -> list[tuple[int, int]]:
     (code,) = struct.unpack("<I", fourcc.ljust(4).encode("ascii"))
     with _opened(device) as fd, suppress(OSError):  # the end of the list, EINVAL
         for index in range(_MOST_ENTRIES):
+            # struct v4l2_frmsizeenum: index, format, type, then a union.
             entry = bytearray(struct.pack("<2I36x", index, code))
             fcntl.ioctl(fd, _VIDIOC_ENUM_FRAMESIZES, entry)
             kind, width_px, height_px = struct.unpack_from("<3I", entry, 8)
+            # Of a range, the driver lists one entry with least, most and step.
             if kind != _DISCRETE:
                 return []
             found.append((width_px, height_px))
@@ -123,6 +131,7 @@ def is_busy(device: str) -> bool:
                 fcntl.ioctl(
                     fd,
                     _VIDIOC_REQBUFS,
+                    # Asking for no buffers is refused while another program holds some.
                     bytearray(struct.pack("<5I", 0, buf_type, _MEMORY_MMAP, 0, 0)),
                 )
             except OSError as error:
@@ -136,6 +145,7 @@ def _opened(device: str) -> Iterator[int]:
     """Open a node of the video4linux class. Raises as `check_node` does."""
     check_kind(device)
     try:
+        # O_NONBLOCK: opening a node must not wait for a driver that hangs.
         fd = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError, ValueError):
         raise DeviceError(
@@ -211,6 +221,7 @@ def lock_exposure(capture: Properties, exposure: int | None) -> Control:
     """Switch automatic exposure off, then set `exposure` (the driver's unit;
     None keeps its value).
     """
+    # In this order: while the exposure is automatic, drivers refuse a value.
     automatic = _set_if_offered(capture, cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
     if exposure is not None:
         capture.set(cv2.CAP_PROP_EXPOSURE, exposure)
@@ -238,9 +249,8 @@ def lock_others(device: str) -> dict[str, Control]:
                 packed = bytearray(off)
                 try:
                     fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
-                    with suppress(
-                        OSError
-                    ):  # read-only, or the driver refuses: the value read back says so
+                    # Read-only, or the driver refuses: the value read back says so.
+                    with suppress(OSError):
                         fcntl.ioctl(fd, _VIDIOC_S_CTRL, bytearray(off))
                     fcntl.ioctl(fd, _VIDIOC_G_CTRL, packed)
                 except OSError:
@@ -250,6 +260,7 @@ def lock_others(device: str) -> dict[str, Control]:
                 )
     except (ConfigError, DeviceError):
         pass
+    # A node that is gone by now is reported by the next frame, in better words.
     return {name: found.get(name, Control(Lock.NO_CONTROL)) for name in AUTOMATICS}
 
 

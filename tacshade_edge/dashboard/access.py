@@ -21,6 +21,8 @@ unchecked, except the cookies of browsers that have already shown theirs: others
 cannot lock them out.
 """
 
+# Both tables forget their oldest entry: whoever has many addresses, as with IPv6, must not fill the
+# memory of a board.
 _ADDRESSES_MAX: Final = 256
 _BROWSERS_MAX: Final = 256
 _BROWSER_BYTES: Final = 16
@@ -35,6 +37,7 @@ def refusal(origin: str | None, host: str | None, allowed_origins: Collection[st
     to, or one of `allowed_origins`, a proxy's. As a site can point its own name at our address (DNS
     rebinding), a host's name must be one that nobody else can own.
     """
+    # A program that is no browser can state any origin, so demanding one would stop nobody.
     if origin is None or origin.lower() in allowed_origins:
         return ""
     if host is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
@@ -56,6 +59,7 @@ def _is_own(name: str) -> bool:
     try:
         ipaddress.ip_address(name)
     except ValueError:
+        # .local is multicast DNS: whoever can forge it is on this network already.
         own = socket.gethostname().lower()
         return name in ("localhost", own, f"{own.partition('.')[0]}.local")
     return True
@@ -91,6 +95,8 @@ class Login:
 
     def set_cookie(self) -> str:
         """Return the header ``Set-Cookie`` for a browser that has logged in."""
+        # Each browser has a name, signed with the token: a new token ends every login, without a
+        # list of sessions.
         browser = secrets.token_urlsafe(_BROWSER_BYTES)
         value = f"{browser}.{self._signed(browser)}"
         return (
@@ -99,6 +105,7 @@ class Login:
         )
 
     def _signed(self, browser: str) -> str:
+        # surrogateescape: a header may hold bytes that are no text, and must not raise.
         return hmac.digest(self._token, browser.encode(errors="surrogateescape"), "sha256").hex()
 
     def kept(self, cookies: str | None) -> str | None:
@@ -124,11 +131,13 @@ class Login:
         browser, _, signature = (kept or "").rpartition(".")
         is_known = token is None and browser in self._browsers
         if tries is not None and tries.wrong >= WRONG_MAX and not is_known:
+            # Unchecked even if right: otherwise the answer would tell a guesser which one it was.
             return HTTPStatus.TOO_MANY_REQUESTS
         offered, expected = (
             (signature, self._signed(browser).encode()) if token is None else (token, self._token)
         )
         guess = offered.encode(errors="surrogateescape")
+        # In constant time: the first wrong byte must not show in how long it takes.
         if hmac.compare_digest(guess, expected):
             if token is None:
                 if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:

@@ -19,6 +19,7 @@ _TYPES: Final = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
+# The page learns what it may do from its own text, before any script runs.
 _HTML: Final = b'<html lang="en">'
 STATIC: Final = Path(__file__).parent / "static"
 
@@ -46,6 +47,7 @@ def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File
     index = found["/index.html"] = _file(
         index.body.replace(_HTML, _HTML[:-1] + learns + b">", 1), index.content_type
     )
+    # /login has no suffix, so that it reads well in the line that the server prints.
     return {"/": index, "/login": found["/login.html"], **found}
 
 
@@ -56,6 +58,8 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
     The one inline script, the import map, is allowed by its hash;
     ``blob:`` allows the picture and mqtt.js's worker.
     """
+    # A browser runs an inline script only if its hash stands in the policy; import maps cannot be
+    # files of their own everywhere.
     inline = re.findall(
         rb'<script type="importmap">(.*?)</script>', files["/index.html"].body, re.DOTALL
     )

@@ -38,6 +38,7 @@ _END_S: Final = 3.0
 _READ_ONLY: Final = ("list", "download")
 _PARTS_MAX: Final = 2  # SENSOR/NAME with several sensors
 LISTED_MAX: Final = 200
+# A folder with more names is no folder of recordings; to look at each would block the server.
 _LOOKED_AT_MAX: Final = 2000
 _ABOUT: Final = "recording.json"
 _SIGNS: Final = (_ABOUT, "frames.csv", "frames.csv.part", "000.mcap", "000.mcap.part")
@@ -88,10 +89,12 @@ def find(folder: Path, name: object) -> Path:
     path = folder
     for part in parts:
         path /= part
+        # A link could lead out of the folder, to any file that this user may read or delete.
         if path.is_symlink():
             raise DeviceError(
                 f"{shown(str(name))}: found a symbolic link, expected a recording's file or folder"
             )
+    # Only what looks like a recording: a page must not delete or fetch another folder.
     if not _is_recording(path):
         raise DeviceError(f"found no recording {shown(str(name))}")
     if _look_at(folder, "/".join(parts))["is_growing"]:

@@ -31,6 +31,7 @@ another client's identifier would end its connection.
 
 _CONNECT: Final = 1
 # PUBACK, PUBREC, PUBREL, PUBCOMP, SUBSCRIBE, UNSUBSCRIBE, PINGREQ, DISCONNECT
+# What a page may send without publishing anything: PUBLISH (3) and AUTH (15) are missing.
 _PASSING: Final = (4, 5, 6, 7, 8, 10, 12, 14)
 _CONNECT_BYTES_MIN: Final = 12  # name, version, flags, keep-alive, and the identifier's length
 _CLEAN: Final = 0x02
@@ -50,6 +51,7 @@ class ReadOnly:
 
         Raises DecodeError if one would do more than read; then send none.
         """
+        # WebSocket messages need not end where packets do (MQTT 5, 6.0).
         data = self._rest + data
         end = 0
         while (found := _body(data, end)) is not None:
@@ -70,6 +72,7 @@ def _body(data: bytes, start: int) -> tuple[int, int] | None:
     Raises DecodeError.
     """
     size = 0
+    # At most four bytes of seven bits each (MQTT 5, 1.5.5).
     for place, byte in enumerate(data[start + 1 : start + 5]):
         size |= (byte & ~_CONTINUES) << 7 * place
         if size > PACKET_BYTES_MAX:
@@ -94,6 +97,8 @@ def _check(kind: int, body: bytes) -> None:
         raise DecodeError(
             "found an unsupported or incomplete CONNECT packet, expected MQTT 3.1.1 or 5"
         )
+    # A last will is a message that the broker publishes for the page; a session that persists
+    # queues messages for a page that never comes back.
     if flags[0] & _WILL or not flags[0] & _CLEAN:
         raise DecodeError(
             "read-only: found a last will or a persistent session in CONNECT, expected neither"
@@ -103,6 +108,7 @@ def _check(kind: int, body: bytes) -> None:
             raise DecodeError("read-only: found properties in CONNECT, expected none")
         rest = rest[1:]
     client_id = rest[2 : 2 + int.from_bytes(rest[:2])]
+    # A page could otherwise take the name of the daemon, which the broker then disconnects.
     if client_id and not client_id.startswith(CLIENT_ID):
         raise DecodeError(
             "read-only: found another client identifier, expected one that starts with "
@@ -151,6 +157,7 @@ class Bridge:
         """
         try:
             reader, writer = await self._connect()
+        # Once, not for every page and try: pages try again every second.
         except (OSError, TimeoutError) as error:
             reason = f"broker {self._broker}: {_reason(error)}"
             if not self._away:
@@ -177,6 +184,8 @@ class Bridge:
                 broker.host, broker.port, ssl=broker.tls, limit=_CHUNK_BYTES
             )
         sock = writer.get_extra_info("socket")
+        # TCP_NODELAY is set with them: a touch must not wait for the acknowledgement of the one
+        # before.
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE.items():
             if hasattr(socket, name):
@@ -197,6 +206,7 @@ async def _to_broker(
             _log.warning("disconnected a page: %s", refused)
             await page.close(_NOT_ALLOWED, _short(str(refused)))
             return
+        # The slower side decides: nothing is queued here, so the broker and the page do it.
         await writer.drain()
 
 
@@ -210,6 +220,7 @@ async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None
                 await page.send(chunk)
         except TimeoutError:
             _log.warning("disconnected a page that read nothing for %.0f s", STALL_S)
+            # Not `close`, which would wait behind what the page does not read.
             page.transport.abort()
             return
 
@@ -222,6 +233,7 @@ async def _until_first(*ways: Coroutine[Any, Any, None]) -> None:
     finally:
         for task in tasks:
             task.cancel()
+        # A task that is only cancelled may still hold its socket; wait for both.
         ended = await asyncio.gather(*tasks, return_exceptions=True)
     for result in ended:
         if isinstance(result, Exception) and not isinstance(result, (ConnectionClosed, OSError)):

@@ -31,6 +31,7 @@ from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
 
+# A browser opens up to six connections for the files of one page, and a WebSocket.
 CONNECTIONS_MAX: Final = 48
 """Pages, file requests and connections that have sent nothing yet;
 the server closes any further one at once.
@@ -54,7 +55,9 @@ _REFUSED: Final = {
         f"too many wrong tokens from your address: wait {access.PERIOD_S:.0f} s"
     ),
 }
+# Whoever connects and stays silent holds one of the few places for no longer.
 _SPEAK_S: Final = 5  # limit for a request, and for the TLS handshake
+# As little as possible: what waits here is memory that the page, not the board, decides on.
 _FRAMES_WAITING_MAX: Final = 4
 _CLOSE_S: Final = 0.5
 _STOP_S: Final = 0.7
@@ -97,11 +100,14 @@ class Bounds:
 
         class Connection(ServerConnection):
             def connection_lost(self, exc: Exception | None) -> None:
+                # Also a page that never finished its handshake must give its place back.
                 pages.discard(self)
                 super().connection_lost(exc)
 
             def data_received(self, data: bytes) -> None:
                 super().data_received(data)
+                # websockets answers pings by itself and does not wait until its peer reads the
+                # answers.
                 if self.transport.get_write_buffer_size() > UNSENT_BYTES_MAX:
                     _log.warning("disconnected a page that kept sending messages but read none")
                     self.transport.abort()
@@ -145,9 +151,8 @@ class Pages:
 
     def answer(self, page: ServerConnection, request: Request) -> Response | None:
         """Return the response to a plain or rejected request; None opens the WebSocket."""
-        method = getattr(
-            request, "method", "GET"
-        )  # websockets before 17 rejects all others by itself
+        # websockets before 17 rejects all other methods by itself.
+        method = getattr(request, "method", "GET")
         if method not in _METHODS:
             return self._text(
                 HTTPStatus.METHOD_NOT_ALLOWED,
@@ -175,6 +180,7 @@ class Pages:
         file = self._files.get(path)
         if file is None:
             return self._text(HTTPStatus.NOT_FOUND, "not found")
+        # After an upgrade the tag differs, so no page runs old files against a new daemon.
         if request.headers.get("If-None-Match") == file.etag:
             return self._response(HTTPStatus.NOT_MODIFIED, b"", {"ETag": file.etag})
         return self._response(
@@ -197,9 +203,11 @@ class Pages:
         refused = tokens.refusal(offered, kept, address, time.monotonic())
         if tokens.wrong > before:
             _log.warning("rejected a wrong token from %s (%d so far)", address, tokens.wrong)
+        # A person gets the page to log in with; a program gets the status.
         if refused is HTTPStatus.UNAUTHORIZED and path in _INDEX and offered is None:
             return self._response(HTTPStatus.SEE_OTHER, b"", {"Location": _LOGIN.removeprefix("/")})
         if refused is not None:
+            # RFC 9110, 11.6.1: 401 states how to log in.
             return self._text(refused, _REFUSED[refused], {"WWW-Authenticate": "Bearer"})
         return (
             self._response(HTTPStatus.NO_CONTENT, b"", {"Set-Cookie": tokens.set_cookie()})
@@ -220,6 +228,7 @@ class Pages:
             refused != self._refused
         ):  # a browser hides the answer from its user, and retries every second
             _log.warning("rejected a WebSocket: %s", escaped(refused))
+        # Only once: the page retries every second.
         self._refused = refused
         return self._text(HTTPStatus.FORBIDDEN, refused)
 
@@ -232,6 +241,7 @@ class Pages:
     def _response(self, status: HTTPStatus, body: bytes, headers: dict[str, str]) -> Response:
         bodiless = status in (HTTPStatus.NOT_MODIFIED, HTTPStatus.NO_CONTENT)
         length = {} if bodiless else {"Content-Length": str(len(body))}
+        # Without keep-alive: an idle connection would hold one of the few places.
         everything = Headers({**self._headers, **headers, **length, "Connection": "close"})
         return Response(status.value, status.phrase, everything, body)
 

@@ -18,16 +18,22 @@ from tacshade_edge.version import installed_version
 
 # Bits of get_throttled for the present state; the same bits 16 higher are for the time since boot.
 _UNDER_VOLTAGE, _CAPPED, _SLOWED, _HOT = 1, 2, 4, 8
-_OWN_SCALING = ("intel_pstate", "amd-pstate-epp")  # their `powersave` follows the load
-_TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
-_TIMEX_BYTES = 512  # struct timex has at most 208; all zero, it reads the state and changes nothing
+# Their `powersave` follows the load; with others it means the lowest frequency.
+_OWN_SCALING = ("intel_pstate", "amd-pstate-epp")
+# adjtimex(2): the clock is not synchronised, whoever should do it.
+_TIME_ERROR = 5
+# struct timex has at most 208; all zero, it reads the state and changes nothing.
+_TIMEX_BYTES = 512
 _DAY_S = 86400
+# A calibration with fitted networks has a few MB and is written beside the old one; a recording
+# fills a GB within minutes.
 _FULL_BYTES, _LOW_BYTES = 50_000_000, 1_000_000_000
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _CPU = "/sys/devices/system/cpu/cpu0/cpufreq"
 MODEL = "/proc/device-tree/model"
 # Arm's "CPU part" in /proc/cpuinfo for the boards that the documents name.
 _ARM_PARTS = {"0xd03": "Cortex-A53", "0xd08": "Cortex-A72", "0xd0b": "Cortex-A76"}
+# Words for reports; the findings above say what to do.
 _SINCE_START = {
     _UNDER_VOLTAGE: "under-voltage",
     _CAPPED: "capped",
@@ -56,6 +62,7 @@ def check_board(machine: Machine) -> Findings:
     ):
         if flags & bits:
             found.append(warning("board", f"{what} now; frames will be late or lost", fix))
+        # Power that fails only under load is seen afterwards, not while doctor looks.
         elif flags >> 16 & bits:
             found.append(warning("board", f"{what} at some time since boot, but not now", fix))
     if text and not found:
@@ -90,6 +97,7 @@ def judge_clock(now_s: float, installed_s: float, *, synced: bool | None) -> Fin
         "connect to a network and run: sudo timedatectl set-ntp true (without systemd: "
         "install chrony)"
     )
+    # A day, because files may be installed with times of another zone.
     if now_s < installed_s - _DAY_S:
         since = time.strftime("%Y-%m-%d", time.gmtime(installed_s))
         found = (
@@ -109,6 +117,7 @@ def judge_clock(now_s: float, installed_s: float, *, synced: bool | None) -> Fin
 
 def check_disk(folder: Path) -> Findings:
     """Findings on the file system of `folder`, or of its nearest existing parent."""
+    # The folder may be made by the first start of the daemon.
     existing = next(path for path in (folder, *folder.parents) if os.path.isdir(path))
     status = os.statvfs(existing)
     read_only = bool(status.f_flag & os.ST_RDONLY)

@@ -32,10 +32,16 @@ from tacshade_edge.mqtt.client_id_guard import place_of
 from tacshade_edge.wire.codec import decode_object
 
 _CONNECT_S, _ANSWER_S = 3.0, 2.0
-_KEEPALIVE_S = 3  # also paho's limit for the TLS handshake
+# Also the limit of paho for the TLS handshake.
+_KEEPALIVE_S = 3
+# Odd, so that the median is one of them.
 _ROUNDS = 5
-_MESSAGE_BYTES = 38_000  # more than a height map (25 KB); about a cloud of 2700 points
+# More than a height map (25 KB); about a cloud of 2700 points. The listener for WebSockets of
+# Debian 12 stalls from 4 KB on, which a small message would not show.
+_MESSAGE_BYTES = 38_000
 _HEADER_BYTES = 200
+# A frame at 50 per second. Without TCP_NODELAY, small packets wait up to 40 ms for an
+# acknowledgement (Nagle, and the delay of the receiver).
 _SLOW_MS = 20.0
 _REPORTED = ("state", "info", "instance", "health", "status/+")
 _ROUND_TRIP = "broker round trip"
@@ -84,6 +90,7 @@ class _Session:
             answered=lambda _mid, code: setattr(self, "published", code),
             heard=lambda topic, message: self.messages.update({topic: bytes(message.payload)}),
         )
+        # An invented name: with its own, this connection would end the one of the daemon.
         self.client = BrokerSession(broker, events, client_id="", base_topic=base)
 
     def _on_accepted(self, bytes_max: int | None) -> None:
@@ -101,6 +108,7 @@ class _Session:
         return whether the connection is still open.
         """
         deadline_s = time.monotonic() + _ANSWER_S
+        # paho without its thread: here it is asked, so that nothing happens behind the check.
         while not done() and time.monotonic() < deadline_s:
             if self.client.loop(0.05) != MQTTErrorCode.MQTT_ERR_SUCCESS:
                 return False
@@ -109,6 +117,7 @@ class _Session:
     def subscribe(self) -> bool:
         """Subscribe to the daemon's topics and our own; return whether the broker lets us."""
         self.client.subscribe(
+            # Only what is retained tells of a daemon; frames would delay the measurement.
             [(f"{self.base}/{name}", SubscribeOptions(1)) for name in ("doctor", *_REPORTED)]
         )
         self.pump(lambda: self.subscribed)
@@ -118,6 +127,7 @@ class _Session:
         """Publish a message of `size` bytes to ourselves; return whether it came back."""
         self.published = None
         self.messages.pop(self.topic, None)
+        # QoS 1, so that a refusal comes back: brokers drop QoS 0 without a word.
         self.client.publish(self.topic, bytes(size), qos=1)
         self.pump(lambda: self.topic in self.messages or self.is_refused)
         return self.messages.pop(self.topic, None) is not None
@@ -174,6 +184,7 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
 def _connect(session: _Session, broker: BrokerAddress) -> Finding | None:
     host, port, tls_ca = broker["host"], broker["port"], broker["tls_ca"]
     try:
+        # paho also hides why a certificate is not trusted.
         # First without paho, which leaves a socket open if its TLS handshake fails.
         with socket.create_connection((host, port), _CONNECT_S) as plain:
             if tls_ca is not None:
@@ -243,6 +254,7 @@ def _round_trip(session: _Session, username: str | None) -> Finding:
     most = session.packet_bytes_max
     if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
         return _limited(f"the broker accepts packets of at most {most} bytes")
+    # First without content: the broker may take messages, but none of this size.
     if not session.echoes(0):
         refused = f"the broker does not let this user publish to {below} ({session.published})"
         silent = f"a message to {session.topic} did not come back within {_ANSWER_S:g} s"
@@ -255,6 +267,7 @@ def _round_trip(session: _Session, username: str | None) -> Finding:
                 f"a message of {_MESSAGE_BYTES} bytes did not come back within {_ANSWER_S:g} s"
             )
         took_ms.append(1e3 * (time.monotonic() - began_s))
+    # The median: one of them meets a busy moment.
     return judge_round_trip(statistics.median(took_ms))
 
 
@@ -281,6 +294,7 @@ def _daemon_state(session: _Session) -> DaemonState:
     }
     names = ("health", "status/camera", "status/broker", "instance", "status/rival")
     health, camera, link, instance, rival = (_json(published.get(name, b"")) for name in names)
+    # Whoever may publish here may publish anything: nothing of it is taken for granted.
     fps = health.get("delivered_fps", 0.0)
     return DaemonState(
         published.get("state", b"").decode(errors="replace")[:20],

@@ -29,10 +29,13 @@ from tacshade_edge.mqtt import links
 from tacshade_edge.settings import Document, to_yaml
 from tacshade_edge.wire.codec import decode_object
 
+# About a day of a daemon that reports something every minute; one that repeats itself is cut by
+# bytes.
 _LOG_LINES, _LOG_BYTES_MAX, _LOG_S = 2000, 4 << 20, 10.0
 _UNIT = "tacshade-edge"
 _LEFT_OUT = "(left out)"
 _HOME = re.compile(r"(?<=/home/)[^/\s\"',]+")
+# USER:PASSWORD of an address; the host stays, as it may be what is wrong.
 _IN_URL = re.compile(r"(?<=://)[^/\s@\"']+(?=@)")
 
 
@@ -54,6 +57,7 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
         "versions.json": _json(
             {**board_facts(Machine()), "packages": dict(sorted(installed.items()))}
         ),
+        # What is retained only: frames are large, and may be private.
         "published.json": _json(
             {topic: _payload(payload) for topic, payload in sorted(seen.daemon.published.items())}
         ),
@@ -62,14 +66,17 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
     secrets: tuple[str, ...] = ()
     if seen.document is not None:
         settings, mqtt = seen.document.settings, seen.document.settings.mqtt
+        # Whether there is one matters, and stays visible.
         hidden = {name: getattr(mqtt, name) and _LEFT_OUT for name in ("username", "password_file")}
         shown = msgspec.structs.replace(settings, mqtt=msgspec.structs.replace(mqtt, **hidden))
         texts["settings.yaml"] = to_yaml(shown)
         texts["calibration.json"] = _json(_calibration(seen.document))
         secrets = _secrets(seen.document)
+    # In memory, so that the file is whole or not there.
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as bundle:
         for name, text in texts.items():
+            # Every text, also the log: a library may have logged an address with a password.
             bundle.writestr(name, without_secrets(text, secrets))
         if with_frame and seen.captured.images:
             bundle.writestr("frame.png", png(seen.captured.images[-1]))
@@ -79,6 +86,7 @@ def write_bundle(path: Path, findings: Sequence[Finding], seen: Seen, *, with_fr
 
 def without_secrets(text: str, secrets: Sequence[str]) -> str:
     """Return `text` without the secrets, user names in URLs and names of home folders."""
+    # The longest first: a password may contain the user name, and a rest of it would remain.
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _LEFT_OUT)
     return _HOME.sub(_LEFT_OUT, _IN_URL.sub(_LEFT_OUT, text))
@@ -99,6 +107,7 @@ def _secrets(document: Document) -> tuple[str, ...]:
         settings.mqtt.password_file,
         username if username != settings.sensor_id else None,
     )
+    # Also as JSON writes it: with a quote or a backslash it looks different there.
     return tuple(form for word in words if word for form in (word, json.dumps(word)[1:-1]))
 
 

@@ -21,6 +21,7 @@ from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.settings import Document
 from tacshade_edge.types import U8, Calibration, Frame
 
+# Both at once: twice a very small noise is no fault.
 _NOISIER, _NOISE_LEVELS = 2.0, 2.0
 _NOISE_IMAGES = 3  # of two, the noise would itself be too uncertain to judge
 _DAY_S = 86400
@@ -81,6 +82,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], *, live: bool) 
     """Compare images with the calibration's reference;
     nothing should touch the skin in `live` ones, a camera's.
     """
+    # The profile that misses the fewest presses.
     reconstructor = make_reconstructor(calibration, PROFILES["accurate"])
     result = reconstructor.step(Frame(0, 0, 0, images[-1]))
     if result.reason:
@@ -90,6 +92,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], *, live: bool) 
     )
     found_drift = camera_drift.drift(old, pattern.mean_image([to_grey(image) for image in images]))
     place = _check_place(calibration, found_drift)
+    # A picture from a file may show anything; only a camera is asked to be untouched.
     if not live:
         found = "a touch of unknown depth" if result.touched else "no contact"
         if result.contact:
@@ -105,6 +108,7 @@ def check_images(calibration: Calibration, images: Sequence[U8], *, live: bool) 
         return (*place, warning("sensor", found, _REZERO))
     if result.degraded:
         return (*place, warning("sensor", result.degraded.text, _fix(result.degraded)))
+    # A camera that has moved explains everything below, which would send a person the wrong way.
     if camera_drift.shifted_too_far(found_drift, calibration.geometry.disc):
         return place
     if change := found_drift.light_reason:
@@ -116,6 +120,7 @@ def _check_place(calibration: Calibration, found: camera_drift.Drift) -> Finding
     """Judge whether the visible circle has moved; no finding if that cannot be seen
     (a contact may hide it).
     """
+    # Nothing holds still: a contact covers the circle, or this is another sensor.
     if found.still_part == 0:
         return ()
     size = f"changed size by {100 * (found.zoom - 1):+.1f} %"
@@ -131,6 +136,7 @@ def _check_place(calibration: Calibration, found: camera_drift.Drift) -> Finding
 
 def _check_noise(calibration: Calibration, images: Sequence[U8]) -> Finding:
     try:
+        # As `calibrate --rezero` would, which is also the fix that is suggested.
         renewed = rezero(calibration, images)
     except ConfigError as error:
         return warning("sensor", str(error), "lift the sensor off the object; " + _REZERO)

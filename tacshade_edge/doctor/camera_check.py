@@ -29,9 +29,11 @@ from tacshade_edge.settings import Rpicam, V4l2
 from tacshade_edge.types import U8, Disc
 
 _FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
+# 29.97 is 30, and a frame may be missing at either end.
 _RATE_PART = 0.9
 _RATE_FRAMES = 10  # of fewer, a single late one decides
-_LOST_PART = 0.05  # a stream's start may cost a frame
+# The start of a stream may cost a frame.
+_LOST_PART = 0.05
 _AGE_MAX_S = 0.5
 _STOP = (
     "to check the camera itself, stop the daemon (sudo systemctl stop tacshade-edge) and start it "
@@ -51,7 +53,8 @@ CSI_FIX = (
 _LIST_S = 2.5
 FRAMES = 30
 LIMIT_S = 3.0
-_IMAGES_KEPT = 10  # the last ones, because a camera may still be settling during the first
+# The last ones, because a camera may still be settling during the first.
+_IMAGES_KEPT = 10
 _SETTLING = 5
 
 
@@ -90,6 +93,7 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
         return (fault("camera", str(error).removeprefix("camera "), _choose(machine)),)
     findings = [ok("camera", f"{device}: {card}")]
     stable = stable_name(device, machine)
+    # The kernel numbers nodes in the order in which cameras answer.
     if stable and not device.startswith(("/dev/v4l/", "/dev/tacshade/")):
         found = f"{device} may name a different camera after you plug cameras in again"
         findings.append(warning("camera name", found, f"set source.device: {stable}"))
@@ -192,6 +196,7 @@ def _busy(
     holders, daemon = [], None
     if isinstance(source, V4l2):
         with contextlib.suppress(TacshadeError):
+            # The error may have passed: what counts is whether somebody holds it now.
             if not v4l2_node.is_busy(str(machine.at(source.device))):
                 return None
             holders, daemon = machine.holders(source.device), machine.daemon()
@@ -361,6 +366,7 @@ class Captured:
         """Frames per second, measured without the first frames, which often come late;
         0 if there are too few.
         """
+        # While exposure and buffers settle, frames come late and in bursts.
         t_ns = self.t_ns[_SETTLING:]
         return (
             1e9 * (len(t_ns) - 1) / (t_ns[-1] - t_ns[0])

@@ -52,6 +52,7 @@ def diagnose(
     seen = Seen() if seen is None else seen
     seen.document = document
     settings = document.settings if document else None
+    # Where the daemon writes; without settings, where it would.
     folder = Path(settings.calibration).parent if settings else _STATE_FOLDER
     robot = (settings.serial.device if settings.serial else None) if settings else ""
     checks: list[tuple[str, str, Callable[[], Findings]]] = [
@@ -63,8 +64,10 @@ def diagnose(
     ]
     if document and broker_usable:
         fix = "check mqtt.host, the network and the name server"
+        # First, because what a daemon publishes explains what holds the camera.
         checks.insert(0, ("broker", fix, lambda: _check_broker(document, machine, seen)))
     deadline_s = time.monotonic() + MACHINE_S
+    # All at once: each may hang in a driver or a name server, and their limits would add up.
     running = [(start(job), name, fix) for name, fix, job in checks]
     for each in running:
         yield from wait_for(*each, deadline_s)
@@ -73,6 +76,7 @@ def diagnose(
         return
     found = list(_limited("camera", _REPLUG, NODE_S, lambda: _check_camera(document, machine)))
     yield from found
+    # A driver may hang on a node that is no camera.
     if not any(finding.state == "fault" for finding in found):
         yield from _limited(
             "camera frames", _REPLUG, CAPTURE_S, lambda: _check_frames(document, machine, seen)

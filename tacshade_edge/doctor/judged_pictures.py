@@ -48,16 +48,19 @@ def judge_pictures(
     """Judge each picture as the profile would; the picture's own judge refuses one
     that cannot be read.
     """
+    # The judges of the daemon themselves, not a copy: what is shown here is what refuses there.
     reconstructor = make_reconstructor(calibration, PROFILES[profile])
     for path in paths:
         try:
             image = read_image(path)
         except DecodeError as error:
+            # The other pictures are judged all the same.
             yield Judged(path, reason=error.reason)
             continue
         if reason := size_reason(image, (calibration.image_height_px, calibration.image_width_px)):
             yield Judged(path, reason=reason)
             continue
+        # Judges end at the first that refuses, as for a frame: later ones presume what it found.
         measured = reconstructor.measured(image)
         yield Judged(path, measured, first_reason(measured))
 

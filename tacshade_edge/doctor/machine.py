@@ -41,16 +41,19 @@ class Machine:
     def read(self, path: str) -> str:
         """The stripped text of a file; empty if it is missing or unreadable."""
         try:
+            # Files of sysfs exist and yet fail to be read, as with EIO while a device goes away.
             return self.at(path).read_text(errors="replace").strip()
         except OSError:
             return ""
 
     def names(self, folder: str, pattern: str = "*") -> list[Path]:
         """The paths in a folder, shorter names first, then by name; empty if there is no folder."""
+        # video2 comes before video10.
         return sorted(self.at(folder).glob(pattern), key=lambda path: (len(path.name), path.name))
 
     def processes(self) -> list[Process]:
         """Every visible process except this one."""
+        # Without itself: this process may hold the camera that it asks about.
         numbers = [
             int(folder.name)
             for folder in self.names("/proc", "[0-9]*")
@@ -73,12 +76,14 @@ class Machine:
             return any(
                 os.readlink(fd) == target for fd in self.at(f"/proc/{process.pid}/fd").iterdir()
             )
-        except OSError:  # the process has ended, or belongs to another user
+        # The process has ended, or belongs to another user.
+        except OSError:
             return False
 
     def daemon(self) -> Process | None:
         """The process of ``tacshade-edge run`` on this machine; None if none runs."""
         for process in self.processes():
+            # The program may follow `python -m`, or an interpreter of its own.
             for program, command in pairwise(process.words[:4]):
                 if (
                     os.path.basename(program) in ("tacshade-edge", "tacshade_edge")
@@ -89,6 +94,7 @@ class Machine:
 
 
 def may_use(path: Path) -> bool:
+    # By default os.access asks for the real user, as whom nothing is opened.
     return os.access(path, os.R_OK | os.W_OK, effective_ids=True)
 
 
@@ -98,7 +104,8 @@ def permission_fix(path: Path, usual_group: str) -> str:
         group = grp.getgrgid(path.stat().st_gid).gr_name
     except KeyError:
         group = usual_group
-    if group == "root":  # no group to join: udev's rules are missing
+    # No group to join: the rules of udev are missing.
+    if group == "root":
         return "install the udev rules (systemd/install.sh does so), then plug the device in again"
     return (
         f"sudo usermod -aG {group} {pwd.getpwuid(os.geteuid()).pw_name}, then log out and in again"

@@ -20,7 +20,10 @@ from tacshade_edge.quoting import counted
 from tacshade_edge.settings import V4l2
 
 _PORT = re.compile(r"tty(USB|ACM|AMA|S|THS)\d+")
-_NO_UART = "0"  # /sys/class/tty/ttyS*/type of a port without a chip
+# /sys/class/tty/ttyS*/type of a port without a chip: PCs list four ports, most of them empty.
+_NO_UART = "0"
+# The chips of FTDI wait 16 ms for more bytes by default: longer than a frame, and it spoils the
+# clock exchange with the robot.
 _LATENCY_MS = 1
 _FTDI_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 _BYTES_PER_PX: Final = {"YUYV": 2.0, "NV12": 1.5, "GREY": 1.0, "MJPG": 0.25}
@@ -35,6 +38,8 @@ def check_serial(machine: Machine, device: str | None = "") -> Findings:
     """One finding per sound port and problem; `device` is the robot's, None if there is none,
     "" if unknown.
     """
+    # ttyS* of a PC, ttyAMA and ttyTHS of boards, ttyUSB and ttyACM of adapters: consoles are tty1
+    # and so on.
     listed = [
         path.name for path in machine.names("/sys/class/tty", "tty*") if _PORT.fullmatch(path.name)
     ]
@@ -51,6 +56,7 @@ def check_serial(machine: Machine, device: str | None = "") -> Findings:
         else:
             found += _check_port(port, machine)
     found = found or [ok("serial", "found no serial port; only a robot's poses need one")]
+    # A name such as socket://HOST:PORT is no device.
     if device is None or not device.startswith("/dev/") or machine.at(device).exists():
         return tuple(found)
     fix = "plug the robot in, and check which names exist: ls /dev/serial/by-id /dev/tty[AU]*"
@@ -117,6 +123,7 @@ def _check_port(port: str, machine: Machine) -> Findings:
 
 def _is_console(port: str, machine: Machine) -> bool:
     """Whether the kernel or a login uses the port; serial0 is a Pi's name for its first port."""
+    # The kernel writes its messages there from the start, whoever logs in later.
     consoles = re.findall(r"(?:^|\s)console=([^\s,]+)", machine.read("/proc/cmdline"))
     if os.path.realpath(machine.at(f"/dev/{port}")) in [
         os.path.realpath(machine.at(f"/dev/{c}")) for c in consoles
@@ -141,10 +148,12 @@ class Port:
         """Limit for all streams in bytes/s; USB 2.0, table 5-5:
         six 1024-byte packets in each of 8000 microframes/s.
         """
+        # Full speed: one isochronous packet of 1023 bytes a millisecond.
         if self.speed_mbit < _HIGH_MBIT:
             return 1023e3  # one packet a millisecond
         if self.speed_mbit < _SUPER_MBIT:
             return 6 * 1024 * 8000.0
+        # What is left of 5 Gbit/s after its line code (8b/10b) and its protocol.
         return 400e6 * self.speed_mbit / _SUPER_MBIT
 
     @property
@@ -173,6 +182,7 @@ def port_of(device: str, machine: Machine) -> Port | None:
     node = os.path.basename(os.path.realpath(machine.at(device)))
     above = Path(os.path.realpath(machine.at(f"/sys/class/video4linux/{node}/device")))
     for folder in (above, *above.parents):
+        # Folders of USB devices are named BUS-PORT.PORT..., the port of the controller first.
         found = re.fullmatch(r"(\d+)-(\d+)[\d.]*", folder.name)
         if found and (speed := machine.read(machine.name_of(folder / "speed"))):
             bus, port = found.groups()
@@ -200,6 +210,7 @@ def judge_usb(port: Port, cameras: Sequence[V4l2]) -> Finding:
     slower = int(scale * max(camera.fps for camera in cameras))
     fix = f"set source.fourcc: MJPG, or source.fps to at most {slower}, or a smaller size"
     # The rate of an uncompressed stream is known to the byte.
+    # How small JPEGs are depends on the picture: only what is certain is a fault.
     known = [camera for camera in cameras if camera.fourcc != "MJPG"]
     return (warning if fits(port, known) else fault)(
         "usb", found, f"{fix}; or plug some into another controller's ports"

@@ -27,6 +27,7 @@ then, not the scheduler.
 _SIDE = 64
 """So small that no BLAS starts threads for it, whose waiting would be measured as well."""
 _CPU = "/sys/devices/system/cpu"
+# Counted behind the command, whose name may contain spaces.
 _POLICY, _REAL_TIME = 41 - 3, (1, 2)
 """The place of the scheduling policy in stat(5) behind the command, and FIFO and RR."""
 _MANY_CORES = 4
@@ -71,6 +72,7 @@ def measure_tail(
         piece()
         processor_ms[k] = (time.thread_time_ns() - began_ns) / 1e6
         wall_ms[k] = (time.monotonic() - due_s) * 1e3
+        # One late piece must not make all that follow late: a camera drops frames then, too.
         due_s = max(due_s, time.monotonic() - period_s)
     return Tail(
         pieces=pieces,

@@ -42,7 +42,8 @@ DECISIVE = (
     "onnxruntime",
 )
 """Packages whose versions must be this machine's, so that the results are."""
-_one_job = threading.Lock()  # a worker with more threads than one: networks serve one at a time
+# A worker may have several threads, but networks serve one at a time.
+_one_job = threading.Lock()
 
 
 class ClusterWorkers:
@@ -50,6 +51,8 @@ class ClusterWorkers:
 
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
+        # Not pure: Dask would take tasks with equal arguments for one, though a task may read the
+        # clock.
         self._executor = client.get_executor(pure=False)
 
     def map(self, fn: Callable[[Task], Result], tasks: Iterable[Task], /) -> Iterator[Result]:
@@ -66,6 +69,8 @@ class ClusterWorkers:
             most = AHEAD * max(1, sum(self._client.nthreads().values()))
             while True:
                 for task in islice(left, most - len(jobs)):
+                    # Our versions go with every job: a worker may join, or be upgraded, between two
+                    # of them.
                     jobs.append(self._executor.submit(run, ours, fn, task))
                 if not jobs:
                     return
@@ -91,6 +96,7 @@ class ClusterWorkers:
             try:
                 return job.result(timeout=WAIT_S)
             except TimeoutError:
+                # A time-out of the job itself looks like ours.
                 if job.done():  # the job raised it
                     raise
                 _await_worker(self._client, self._address)
@@ -112,11 +118,14 @@ def connected(address: str) -> Iterator[ClusterWorkers]:
         raise ConfigError(
             f"--cluster: {found}; to install it: {how_to_install('cluster')}"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it repeats our one line on many
+    # It repeats our one line on many.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # A task with images is large on purpose, and the warning would come for each.
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", VersionMismatchWarning)  # `run` reports it in one line
+            # Not the default client: other code of this process must not find it by chance.
             client = Client(address, timeout=WAIT_S, set_as_default=False)
     except ValueError as error:
         raise ConfigError(
@@ -164,6 +173,7 @@ def version_of(name: str) -> str:
         return platform.python_version()
     if name in DECISIVE:
         return metadata.version(name)
+    # By content: a checkout has one version for every state of its sources.
     folder, crc32 = Path(str(importlib.import_module(name).__file__)).parent, 0
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".py", ".onnx", ".json"):

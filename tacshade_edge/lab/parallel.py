@@ -83,6 +83,7 @@ def processes(
         mp_context=SPAWN,
         initializer=_start,
         initargs=(prepare, *arguments),
+        # Memory that one task has taken would count for the next.
         max_tasks_per_child=1 if fresh else None,
     )
     before, complete = multiprocessing.active_children(), False
@@ -94,7 +95,8 @@ def processes(
             "the system killed a worker process, perhaps because memory ran out"
         ) from None
     finally:
-        if not complete:  # nobody needs the unfinished jobs
+        # Nobody needs the unfinished jobs.
+        if not complete:
             for worker in multiprocessing.active_children():
                 if worker not in before:
                     worker.terminate()
@@ -118,7 +120,9 @@ def reported_map(
 
 def _start(prepare: Callable[..., None] | None, *arguments: Any) -> None:
     """Limit a worker to one thread, end it with the command, however that ends, and prepare it."""
+    # Each core has a worker already: more threads would only wait for each other.
     cv2.setNumThreads(1)
+    # Ctrl-C reaches every process of the terminal: each would print a traceback of its own.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -127,6 +131,7 @@ def _start(prepare: Callable[..., None] | None, *arguments: Any) -> None:
         wait([parent.sentinel])
         os._exit(1)
 
+    # A parent that is killed cannot stop its workers; its pipe closes in any case.
     threading.Thread(target=follow, name="follow-parent", daemon=True).start()
     if prepare is not None:
         prepare(*arguments)

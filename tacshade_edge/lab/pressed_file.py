@@ -36,8 +36,10 @@ class PressedFile:
         except OSError:
             self._read, self._presses = None, ()
             return ()
+        # A file that is replaced within one tick of the clock has another inode.
         found = (status.st_ino, status.st_mtime_ns)
         if found != self._read:
+            # Noted before it is read, so that a bad file is reported once, not for every frame.
             self._read, self._presses = found, ()
             try:
                 rows, _ = read_columns(self._path, HEADER, ("yaw_deg",), "presses")

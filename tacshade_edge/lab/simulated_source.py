@@ -51,6 +51,7 @@ class SimulatedSource:
 
     def open(self) -> None:
         """Start the clock."""
+        # After a reopening the numbers go on, as those of a camera do.
         self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
 
     def read(self) -> Frame:
@@ -59,8 +60,10 @@ class SimulatedSource:
         Raises DecodeError when its presses cannot be drawn.
         """
         seq = self._next()
+        # Drawn before it is due, so that the time that drawing takes does not make it late.
         image = self._draw(seq)
         t_ns = self._wait(seq)
+        # The wall clock may jump; its time of this frame follows from the clock that does not.
         wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
         return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
 

@@ -27,6 +27,8 @@ _STOP_S: Final = 3.0
 
 def free_port() -> int:
     with socket.socket() as probe:
+        # The port is free only until somebody else takes it; the child then fails, and the demo
+        # says so.
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
@@ -48,6 +50,8 @@ class Child:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                # The kernel keeps this promise even if the demo is killed, which no handler
+                # survives.
                 preexec_fn=_die_with_parent if sys.platform == "linux" else None,
             )
 
@@ -117,6 +121,7 @@ connection_timeout_ms = 5000
 max_payload_size = 4194304
 max_inflight_count = 100
 """
+# As systemd/mosquitto-tacshade.conf: a page that stalls may not fill the memory with maps.
 _MOSQUITTO = """\
 listener {port} 127.0.0.1
 allow_anonymous true
@@ -131,11 +136,13 @@ def broker_command(folder: Path, port: int) -> list[str]:
 
     Raises DeviceError.
     """
+    # mosquitto first: it is what boards run, and it needs no extra.
     mosquitto = shutil.which("mosquitto", path=f"{os.environ.get('PATH', os.defpath)}:{_SBIN}")
     settings = folder / ("mosquitto.conf" if mosquitto else "broker.toml")
     text = (_MOSQUITTO if mosquitto else _EMBEDDED).format(port=port)
     if mosquitto and os.getuid() == 0:
-        text += "user root\n"  # a change of user clears the kernel's promise to stop it with us
+        # A change of user would clear the promise of the kernel to stop it with us.
+        text += "user root\n"
     settings.write_text(text, encoding="utf-8")
     if mosquitto:
         return [mosquitto, "-c", str(settings)]

@@ -140,6 +140,7 @@ def play(folder: Path) -> Generator[None, None, None]:
     call `next` once per step.
     """
     shown, drawn = dict[str, Path](), list[list[Path]]()
+    # First what the untouched and the grasping hand see, so that the page shows something at once.
     with workers() as pool:
         for times_s in ((0.0, _GRASPED_S), [k * STEP_S for k in range(_STEPS)]):
             drawn.clear()
@@ -159,6 +160,8 @@ def _show(folder: Path, drawn: Sequence[Sequence[Path]], step: int, shown: dict[
         if shown.get(name) != pictures[step]:
             shown[name] = pictures[step]
             following = folder / name / f"next-{_SEEN}"
+            # A link and a rename: the camera sees a whole picture at any moment, and nothing is
+            # copied.
             os.link(pictures[step], following)
             following.replace(folder / name / _SEEN)
 
@@ -173,14 +176,16 @@ def _draw(task: tuple[Path, str, Sequence[float]]) -> list[Path]:
     round_of = script()
     placements = [round_of.at(time_s) for time_s in task[2]]
     by_skin, drawn = dict[int, Path](), list[Path]()
-    felts = list(
-        follow(fingers, list(FINGERS).index(name), BOTTLE, placements)
-    )  # keeps skins, so ids differ
+    # In a list, so that the skins live on and their ids differ.
+    felts = list(follow(fingers, list(FINGERS).index(name), BOTTLE, placements))
     for k, felt in enumerate(felts):
         key = id(felt.skin) if felt.press else 0
         if key not in by_skin:
+            # Named by its time, so that equal skins share a picture and the source need not read it
+            # again.
             by_skin[key] = folder / f"{task[2][k]:05.2f}.png"
             picture = sensor.picture(felt.skin, noise_seed=k)
+            # Level 1: a hundred pictures are written once and read often.
             cv2.imwrite(str(by_skin[key]), picture, (cv2.IMWRITE_PNG_COMPRESSION, 1))
         drawn.append(by_skin[key])
     return drawn

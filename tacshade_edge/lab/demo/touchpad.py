@@ -30,6 +30,7 @@ _MODEL: Final = SensorModel()
 _PAD: Final = Pad(
     36.0, 28.0, (Arc(11.1, 14.1, 7.0, 3.0), Bar(23.1, 4.1, 23.1, 24.1, 2.0), Dot(31.1, 14.1, 3.0))
 )
+# Presses overlap: the map joins them by the parts that they share.
 _STEP_MM: Final = 6.0
 _DEPTH_MM: Final = 2.7
 _HELD, _FREE = 6, 3  # frames of a press and of the move to the next
@@ -55,10 +56,12 @@ def hand(folder: Path, port: int, start: Callable[[Path], object]) -> Generator[
     settings = folder / f"{SENSOR_ID}.yaml"
     settings.write_text(_SETTINGS.format(sensor_id=SENSOR_ID, fps=FPS, port=port), encoding="utf-8")
     start(settings)
+    # As any program of a user would, through the broker: the demo has no way of its own.
     broker = BrokerAddress(host="127.0.0.1", port=port, username=None, password=None, tls_ca=None)
     caller = MqttCaller(broker, sensor_id=SENSOR_ID, verb="stitch", watched=("state",))
     try:
         caller.start()
+        # Until then, the daemon would not hear a request.
         while caller.latest("state") != b"online":
             yield
         for number in itertools.count(1):
@@ -93,6 +96,7 @@ def _presses(folder: Path) -> Iterator[None]:
         press = Press(_PAD.under(pose, _MODEL.skin_radius_mm), 0.0, 0.0, 0.0)
         name, place = f"press_{k:02d}.png", ",".join(f"{value:.6f}" for value in pose.seven())
         cv2.imwrite(str(folder / name), sensor.frame((press,), noise_seed=k).image)
+        # Frames between presses have no pose, as those of a robot that moves have none that counts.
         for image, pose_columns in [("free.png", ",,,,,,")] * _FREE + [(name, place)] * _HELD:
             lines.append(f"{image},{t_ns},{pose_columns}")
             t_ns += 1_000_000_000 // FPS

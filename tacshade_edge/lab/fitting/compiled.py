@@ -20,9 +20,12 @@ from tacshade_edge.lab.simulator.skin import Skin, chart_to_direction, direction
 from tacshade_edge.lab.simulator.truth import pixel_rays
 from tacshade_edge.types import F32, F64, Geometry
 
+# As in `lab.simulator.truth`.
 MARCH_STEPS, REFINE_STEPS = 16, 8
 DRAG_STEPS, DRAG_TOLERANCE_MM = 40, 2e-3
 INVERSE_STEPS, INVERSE_TOLERANCE_MM = 60, 1e-3
+# Looser than the simulator's 1e-4, as a twin needs thousands of skins. A test holds the two against
+# each other within 5 µm.
 TOLERANCE_MM = 5e-4
 SWEEPS = 600
 RELAXATION, SLID_TOLERANCE_MM = 1.7, 1e-3
@@ -48,6 +51,7 @@ def solve(obstacle: F32, mass: F32) -> F32:
 
 
 @numba.njit(cache=True, fastmath=True)
+# Not cv2.warpAffine: the obstacle is applied on the way, without another array.
 def _refine(coarse, fine):  # type: ignore[no-untyped-def]
     """Raise `fine` to the coarse grid's values between its nodes."""
     for i in range(fine.shape[0]):
@@ -62,6 +66,8 @@ def _refine(coarse, fine):  # type: ignore[no-untyped-def]
 def _relax(height, obstacle, gain, omega, tolerance):  # type: ignore[no-untyped-def]
     """Relax by projected red-black over-relaxation."""
     rows, cols = height.shape
+    # Red, then black: nodes of one colour have neighbours of the other only, so their order does
+    # not matter.
     for _ in range(SWEEPS):
         change = np.float32(0)
         for colour in range(2):
@@ -119,6 +125,7 @@ def carry(contacts: Contacts, weight: F32, step_mm: float, model: SensorModel) -
 def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
     """Compute the same points as `lab.simulator.truth.skin_points`."""
     origin, along = pixel_rays(geometry, row, col)
+    # A dome alone: no twin of a flat skin is simulated.
     points = np.empty_like(origin)
     least = skin.radius_mm - float(skin.height_mm.max())
     most = skin.radius_mm - min(float(skin.height_mm.min()), 0.0)
@@ -172,6 +179,7 @@ def _march(  # type: ignore[no-untyped-def]
                 s = (low * f_high - high * f_low) / gap
                 f = _outside(ox + s * ax, oy + s * ay, oz + s * az, height, radius, step)
                 if f >= 0:
+                    # The Illinois variant: halving the end that stays keeps the secant moving.
                     high, f_high, f_low = s, f, f_low / 2
                 else:
                     low, f_low, f_high = s, f, f_high / 2
@@ -256,6 +264,7 @@ def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
         if skin.origin_mm is None
         else skin.origin_mm.transpose(2, 0, 1)
     )
+    # Contiguous by component: the loops read one of them at a time.
     across, down = (np.ascontiguousarray(each, np.float32) for each in origin)
     _carry(flat, skin.pressed_mm, across, down, skin.radius_mm, skin.step_mm, friction, now)
     now = now.reshape(chart_mm.shape)

@@ -61,7 +61,8 @@ def skin_of(geometry: Geometry, made: Reconstruction) -> Skin:
     height_mm = np.nan_to_num(grid.height_mm)
     h = np.zeros(flat.height_mm.shape, np.float32)
     cols = rows = h
-    for _ in range(_ROUNDS):  # the ray of a node depends on how deep it lies
+    # The ray of a node depends on how deep it lies.
+    for _ in range(_ROUNDS):
         px = project(geometry, directions * (radius_mm - h)[..., None])
         cols = ((px[..., 0] - grid.col0) / grid.step_px).astype(np.float32)
         rows = ((px[..., 1] - grid.row0) / grid.step_px).astype(np.float32)
@@ -78,8 +79,11 @@ def skin_of(geometry: Geometry, made: Reconstruction) -> Skin:
     )
     points_mm = directions * (radius_mm - h)[..., None]
     xy = (points_mm[..., :2] - shear_mm) / radius_mm
+    # Material cannot come from beyond the equator, whatever the shear of a network says.
     z = np.sqrt(1 - np.minimum((xy * xy).sum(axis=-1, keepdims=True), _FARTHEST))
     before_mm = _chart(np.concatenate((xy, z), axis=-1), radius_mm)
+    # Elsewhere the difference of the two charts is rounding, which would move pins of untouched
+    # skin.
     moved = (h > _MOVED_MM) | (np.abs(shear_mm).sum(axis=-1) > _MOVED_MM)
     origin_mm = np.where(moved[..., None], before_mm - _chart(directions, radius_mm), 0)
     return replace(skin, origin_mm=origin_mm.astype(np.float32))
@@ -114,6 +118,7 @@ class Twin:
     def __init__(self, calibration: Calibration, found: Found) -> None:
         model, layout = found.at(found.values)
         self._geometry = calibration.geometry
+        # Without friction: the shear of a map contains all of the motion already.
         self._renderer = renderer_of(found, replace(model, friction=0.0), layout)
         self._white = WhiteMap(calibration)
         self._at_rest = self._drawn(undeformed(model.skin_radius_mm))
@@ -126,6 +131,7 @@ class Twin:
     def unexplained(self, change: F32, made: Reconstruction) -> float:
         """The part of a change, by squares, that a reconstruction leaves; 1 without contact."""
         if not made.contact:
+            # No contact explains nothing, however little the picture changed.
             return 1.0
         whole = float(np.square(change[self._white.inside]).sum())
         return float(np.square(self.left(change, made)).sum()) / max(whole, 1e-9)
@@ -209,6 +215,7 @@ def chosen_prints(
         lefts = {name: touches.left(each, twin) for name, each in made.items()}
         return Choice((found,), lefts, twin, touches)
 
+    # First each print at its best length: only then are prints compared.
     choices = [min(map(held, lengths), key=lambda each: each.left) for lengths in tried]
     choices.sort(key=lambda each: each.left)
     best = choices[0]
@@ -216,6 +223,7 @@ def chosen_prints(
         found
         for choice in choices[1:]
         for found in choice.prints
+        # Both must agree: touches hardly see the markers, the reference not the length.
         if choice.left <= ALIKE * best.left and found.residual <= LIKELY * best.prints[0].residual
     ]
     return replace(best, prints=(*best.prints, *alike))
@@ -230,7 +238,10 @@ def candidates(
     own = own_picture(calibration)
     made = []
     for found in [*prints, *([own] if own else [])]:
+        # Patches have no drawing: what is stated belongs to another kind of print.
         known = stated and not found.kind.patches
+        # The reference shows how long dark pins are, by their sides, and of white ones only the
+        # tips.
         free = found.kind.white_tips and not known
         made.append([with_length(found, length) for length in LENGTHS_PITCHES] if free else [found])
     return made

@@ -77,6 +77,7 @@ def fit(
     if touches or len(pictures) >= LEAST_TOUCHES:
         say("fit: comparing prints with the touches")
         choice = chosen_prints(calibration, prints, pictures, "pin_length_mm" in stated)
+    # What touches leave unexplained says how far off networks are on this sensor.
     if choice and touches and not calibration.error_scales:
         calibration = replace(calibration, error_scales=error_scales_of(choice.lefts))
     if reasons := refused(prints, choice):
@@ -106,6 +107,7 @@ def _contradicted(
     """Why the stated sizes are wrong, and what the reference shows; empty if they may be right."""
     if not stated or not prints:
         return ()
+    # A second search, without what was stated: only then is it known whether the drawing is worse.
     shown = identify(calibration)
     if prints[0].residual <= CONTRADICTED * shown[0].residual:
         return ()
@@ -129,6 +131,7 @@ def _judged(
 ) -> dict[str, tuple[FittedNetwork, NetworkReport]]:
     """Judge every network by presses, or else by touches."""
     held_out = task.held_out()
+    # White tips show where pins are, and not how long they are: presses alone can tell.
     alone = LENGTH_UNKNOWN if task.prints[0].kind.white_tips else WHOLE_WAY
     return {
         name: judged(task.calibration, presses, touches, held_out, name, weights[name], alone)
@@ -148,11 +151,14 @@ def _digest(
         calibration.reference_white.tobytes() + calibration.reference_grey.tobytes()
     )
     found = [(each.kind, each.values.tolist(), each.deviations.tolist()) for each in prints]
+    # By repr, which gives every digit of a float: another calibration must not go on from these
+    # steps.
     known = (calibration.geometry, calibration.pitch_px, found, mechanics, effort)
     digest.update(repr(known).encode())
     for press in presses:
         stated = repr((press.radius_mm, press.depth_mm, press.x_mm, press.y_mm))
         digest.update(press.image.tobytes() + stated.encode())
+    # Weights of another layout do not fit into the networks of this release.
     for name in LADDER:
         digest.update(shipped_layout(name).encode())
     return digest.hexdigest()

@@ -57,6 +57,7 @@ from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.types import F32, F64, Bool, Calibration
 
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.26)), np.array((2.4, 0.46, 0.46, 0.60))
+# Of differences: wide enough to cross several steps of the staircase that the white of cells is.
 STEPS = np.array((0.06, 0.012, 0.012, 0.015))
 SIZES, MARKERS = tuple(product((1.2, 1.6, 2.0), (0.36, 0.28), (0.28, 0.2))), (0.35, 0.42, 0.5)
 """Sizes from which a fit may start: those that explain the reference best are followed, so that it
@@ -75,6 +76,7 @@ BOXES = np.array(((0.2, 0.025, 0.035, 0.12), (0.15, 0.018, 0.025, 0.08), (0.1, 0
 bases, blur. Where pins stand is known better in the later ones.
 """
 LEAST, MOST = np.array((*LOWEST[:3], BLURS_PX[0])), np.array((*HIGHEST[:3], BLURS_PX[1]))
+# Four values make a quadratic of 15 coefficients; four times as many draws average the staircase.
 DRAWN = 60
 ALIKE_CELLS = 10
 """Neighbouring cells err alike: this many count as one in the covariance."""
@@ -101,7 +103,9 @@ def identify(
     begun: list[Begun] = []
     for kind in KINDS:
         begun += _begun(seen, kind)
+    # Every kind begins, few are finished: refining takes most of the time.
     begun.sort(key=lambda each: each[0][1])
+    # As a part of what a flat grey picture would leave, so that prints of any contrast compare.
     spread = float(seen.reference[seen.white.inside].std())
     cells = int(np.count_nonzero(seen.white.inside))
     made = []
@@ -155,6 +159,7 @@ class _Seen:
         base = replace(
             base, pin_reflectance=min(darkness, 0.5), skin_reflectance=min(1.6 * darkness, 0.6)
         )
+        # With a nominal length: it moves all tips outwards or inwards, not from each other.
         pins = find_tips(calibration, False, NOMINAL_PITCHES)
         disc = calibration.geometry.disc
         size = calibration.image_height_px, calibration.image_width_px
@@ -207,6 +212,8 @@ def _begun(seen: _Seen, kind: Kind) -> list[Begun]:
     every = [k for k in (*first, *range(4, len(starts[0]))) if k not in seen.known]
     free = [k for k in every if not merge or k != MARKER]
     problem, limits = seen.problem(kind, tips), _limits(seen.base, len(place))
+    # Smoothed over two cells first, so that pins that are off by half a pitch still find their
+    # place.
     rough, finer = problem.against(2.0), problem.against(1.0)
     starts = [levenberg(rough, each, free, *limits, 4)[0] for each in starts]
     if not problem.tips:
@@ -223,6 +230,7 @@ def _begun(seen: _Seen, kind: Kind) -> list[Begun]:
     begun = [(fit, problem)]
     if merge:
         apart = fit[0].copy()
+        # Markers that merge or hardly do: between the two, fits stop in minima of other prints.
         apart[MARKER] = APART
         begun.append((levenberg(finer, apart, every, *limits, 4), problem))
     return begun
@@ -249,6 +257,7 @@ def refined(problem: Problem, values: F64, free: Sequence[int]) -> tuple[F64, F6
     for k, box in enumerate(BOXES):
         for _ in range(2):
             moved_px = registered(problem, values, moved_px)
+            # Only at first: later the lattice is known, and what is left is the error of each pin.
             if k == 0 and problem.tips is None:
                 values, moved_px = with_lattice(problem, values, moved_px), 0.0
         values, covariance = quadratic(problem.against(0.5, moved_px), values, free, box, k)
@@ -268,6 +277,7 @@ def registered(problem: Problem, values: F64, moved_px: F64 | float) -> F64:
     (down, across), off = np.gradient(drawn), seen - drawn
     px = tips_px(model, layout) + moved_px
     cells = ((px - (grid.col0, grid.row0)) / grid.step_px).astype(np.float32)
+    # Not farther than half a pitch: beyond it lies the next pin.
     sigma_cells = 0.45 * problem.pitch_px / grid.step_px
 
     def beside(product: F32) -> F64:
@@ -284,6 +294,7 @@ def registered(problem: Problem, values: F64, moved_px: F64 | float) -> F64:
     x, y = beside(across * off), beside(down * off)
     step_px = grid.step_px * np.hstack((xy * y - yy * x, xy * x - xx * y)) / (xx * yy - xy * xy)
     step_px[np.hypot(*(px - (disc.col_c, disc.row_c)).T) > REGISTERED_PART * disc.radius_px] = 0
+    # A cell at a time: the linearisation holds no further.
     return np.asarray(moved_px + np.clip(step_px, -grid.step_px, grid.step_px))
 
 
@@ -301,6 +312,7 @@ def with_lattice(problem: Problem, values: F64, moved_px: F64) -> F64:
     fit = least_squares(
         lambda each: (lattice_px(model, Lattice(each), steps) - target).ravel(),
         lattice.values,
+        # A few pins are hidden by glare or glued askew, and must not bend the lattice.
         loss="cauchy",
     )
     return np.concatenate((values[:4], fit.x, values[-1:]))
@@ -330,11 +342,13 @@ def quadratic(
         hessian[i, j] += each
         hessian[j, i] += each
     curvature, axes = np.linalg.eigh(hessian)
+    # Of a saddle, which noise makes of a flat valley, the minimum would lie anywhere.
     curvature = np.maximum(curvature, FLATTEST * curvature.max())
     inverse = axes / curvature @ axes.T
     step = -inverse @ c[1 : n + 1]
     made, covariance = values.copy(), np.zeros((len(values), len(values)))
     made[at] = np.clip(made[at] + half * step / max(np.abs(step).max() / FARTHEST, 1), low, high)
+    # What is left at the minimum is the noise: no other estimate of it is at hand.
     noise = ALIKE_CELLS * costs.min() / len(residuals[0])
     covariance[np.ix_(at, at)] = 2 * noise * inverse * np.outer(half, half)
     return made, covariance
@@ -372,6 +386,7 @@ def levenberg(
             jacobian[:, column] = (residual(moved) - r) / step
         h, g, before = jacobian.T @ jacobian, jacobian.T @ r, cost
         for _ in range(4):
+            # Scaled by the diagonal (Marquardt 1963): values have different units.
             delta = np.linalg.solve(h + damping * np.diag(np.diag(h) + 1e-9), -g)
             trial = values.copy()
             trial[free] = np.clip(values[free] + delta, low[free], high[free])

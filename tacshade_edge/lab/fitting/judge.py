@@ -79,8 +79,11 @@ class JudgingPresses:
     def measure(self, network: Network, factor: float | None = None) -> OnPresses:
         """Measure a network, with the factor on h that it has, or with one that presses show."""
         seen = self._seen_by(network)
+        # By indenter, not by press: an indenter pressed often would otherwise decide.
         names = dict.fromkeys(each.name for each in seen)
         factors = {
+            # Left out of its own factor, so that a factor gains only if it holds for what it has
+            # not seen.
             name: factor or refit.fit_factor([e.row for e in seen if e.name != name]) or 1.0
             for name in names
         }
@@ -100,10 +103,13 @@ class JudgingPresses:
         for press, prepared in self._prepared:
             inverse = solver.inverse(prepared)
             at = placed_press(self._geometry, inverse, press)
+            # A press that the network does not feel counts as missed, not as wrong.
             if at is None or (row := refit.press_factor(inverse, self._geometry, at)) is None:
                 continue
             true_mm, known = refit.known_cells(inverse, self._geometry, at)
+            # Cells beyond the picture are made up.
             known &= self._inside
+            # Of a few cells, the mean is that of the edge.
             if np.count_nonzero(known) < refit.LEAST_CELLS:
                 continue
             found_mm = np.maximum(np.nan_to_num(inverse.height_mm), 0)
@@ -271,6 +277,7 @@ def judged(
     sigma = load_network(name).sigma
 
     def part_of_the_way(part: float) -> FittedNetwork:
+        # Weights between two trainings of one network work too, if one began from the other.
         made = shipped + np.float32(part) * (weights - shipped)
         network.load(made)
         off_mm = unit_mm * training.error(network, maps)
@@ -301,6 +308,7 @@ def _by_presses(
     tried = {}
     for part, fitted in made.items():
         after = presses.measure(load_network(name, fitted))
+        # A network that feels only the deep ones has a smaller mean.
         found_mm = after.mean_mm if after.presses >= before.presses else None
         shipped_mm = fitted.shipped_error_mm
         report = NetworkReport(
@@ -349,6 +357,7 @@ def with_error_scale(fitted: FittedNetwork, name: str, left: float) -> FittedNet
     """The network with at least the error scale that what it leaves of touches shows."""
     if fitted.error_scale is None:
         return fitted
+    # Touches widen σ and never narrow it: an explained change may hide a wrong scale.
     return replace(fitted, error_scale=max(fitted.error_scale, error_scale_of(name, left)))
 
 

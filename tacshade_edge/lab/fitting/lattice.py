@@ -103,6 +103,7 @@ def find_tips(
     lamp.
     """
     geometry, disc = calibration.geometry, calibration.geometry.disc
+    # On a chart of equal area, where pins stand as densely at the rim as in the middle.
     pitch_mm = pitch_mm_of(calibration)
     radius_mm, px_mm = geometry.skin_radius_mm - length_pitches * pitch_mm, pitch_mm / 12
     limit = 2 * radius_mm * math.sin(math.radians(geometry.visible_half_angle_deg) / 2)
@@ -123,9 +124,11 @@ def find_tips(
     contrast = grey / np.maximum(local, 1) - 1 if divided else grey - local
     seen = cv2.remap((contrast * mask).astype(np.float32), cols, rows, cv2.INTER_LINEAR)
     inside = cv2.remap(mask, cols, rows, cv2.INTER_LINEAR) > 0.99
+    # Steps of the chart are a twelfth of the pitch; the blur has about the size of a tip.
     blob = cv2.GaussianBlur(seen if white_tips else -seen, (0, 0), 0.22 * 12)
     top = cv2.dilate(blob, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (13, 13)))
     peak = (blob >= top) & inside & (blob > 0.25 * np.percentile(blob[inside], 97))
+    # A parabola needs a neighbour on each side.
     peak[[0, -1]] = False
     peak[:, [0, -1]] = False
     i, j = np.nonzero(peak)
@@ -144,6 +147,7 @@ def find_tips(
 
 def _vertex(before: F32, at: F32, after: F32) -> F64:
     """Offset of a parabola's vertex."""
+    # Not flat: a plateau would put the vertex anywhere.
     curve = np.minimum(before - 2 * at + after, -1e-6)
     return np.asarray(np.clip(0.5 * (before - after) / curve, -0.5, 0.5), np.float64)
 
@@ -154,6 +158,7 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
     r = geometry.skin_radius_mm
     chart = equal_area(sphere_points(geometry, tips_px, r - length_pitches * pitch), r)
     reach = 2 * r * math.sin(math.radians(geometry.visible_half_angle_deg) / 2)
+    # Towards the rim lattices widen, which the fit finds afterwards.
     chart = chart[np.linalg.norm(chart, axis=1) < 0.62 * reach]
     if len(chart) < 12:
         return None
@@ -163,10 +168,12 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
     if len(steps) < 24:
         return None
     # The places where differences are densest, the shortest first.
+    # Differences to neighbours repeat on a lattice, and scatter otherwise.
     support = np.array([len(q) for q in cKDTree(steps).query_ball_point(steps, 0.16 * pitch)])
     strong = steps[support > 0.45 * support.max()]
     strong = strong[np.argsort(np.linalg.norm(strong, axis=1))]
     a = _centre(steps, strong[0], 0.2 * pitch)
+    # The second step must not be a multiple of the first.
     across = (
         np.abs(a[0] * strong[:, 1] - a[1] * strong[:, 0])
         / np.linalg.norm(a)
@@ -175,8 +182,10 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
     if not (across > 0.7).any():
         return None
     b = _centre(steps, strong[np.argmax(across > 0.7)], 0.2 * pitch)
+    # Either sign spans the lattice; this one makes the result unique.
     b = b if a @ b >= 0 else -b
     first = int(np.argmin(np.linalg.norm(chart, axis=1)))
+    # From neighbour to neighbour, because errors of the steps would add up over many of them.
     index, queue = {first: (0, 0)}, [first]
     while queue:
         k = queue.pop(0)

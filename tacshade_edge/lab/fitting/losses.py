@@ -33,9 +33,11 @@ def depth_loss(
     y, odds = outputs
     found, logit = split_output(y, fold)
     top = height.amax((1, 2), keepdim=True)
+    # A shallow contact would hardly count beside a deep one; so each is weighed by its own depth.
     weight = (0.5 + 5 * contact) * (1.5 / (top + 0.7))
     off = found - height
     level = (weight * off.abs()).mean()
+    # Slopes, too: an edge at the wrong place is worse than a level that is a little off.
     slope = (weight[:, 1:] * (off[:, 1:] - off[:, :-1]).abs()).mean()
     slope = slope + (weight[:, :, 1:] * (off[:, :, 1:] - off[:, :, :-1]).abs()).mean()
     edge = functional.binary_cross_entropy_with_logits(logit, contact)
@@ -52,6 +54,7 @@ def shear_loss(
     """Compute the loss of shear where the skin is visible, weighted higher in contact."""
     touching = functional.adaptive_avg_pool2d(contact[:, None], COARSE_CELLS)
     seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
+    # Only where nothing is spoilt: no shear is known there.
     off = (moved.float() - shear).abs().sum(1, keepdim=True) * (seen > 0.99)
     return ((0.3 + 4 * touching) * off).mean()
 

@@ -160,6 +160,7 @@ def base_model(calibration: Calibration) -> SensorModel:
         SensorModel(),
         skin_radius_mm=geometry.skin_radius_mm,
         camera_distance_mm=geometry.camera_distance_mm,
+        # A calibration may find a little more than the simulator clamps.
         visible_half_angle_deg=min(geometry.visible_half_angle_deg, MAX_VISIBLE_HALF_ANGLE_DEG),
         image_height_px=calibration.image_height_px,
         image_width_px=calibration.image_width_px,
@@ -168,6 +169,7 @@ def base_model(calibration: Calibration) -> SensorModel:
         disc_radius_px=disc.radius_px,
         pitch_mm=pitch_mm_of(calibration),
         colour_bgr=(1.0, 1.0, 1.0),
+        # Glints, noise and tolerances are drawn for each view; here they would be fitted to.
         specular_spots=0,
         surround="dark",
         position_tolerance_mm=0.0,
@@ -251,6 +253,7 @@ class WhiteMap:
         axis = (np.arange(disc_map.CELLS) + 0.5 - disc_map.CELLS / 2) * (
             2 * disc_map.REACH / disc_map.CELLS
         )
+        # Cells at the rim are partly housing.
         self.inside = np.hypot(axis[:, None], axis[None, :]) < 0.93
 
     def of(self, grey: U8) -> F32:
@@ -272,6 +275,7 @@ class TwinRenderer(Renderer):
 
     def __init__(self, model: SensorModel, kind: Kind, marks: Print, light: F32) -> None:
         super().__init__(model, marks, kind.profile)
+        # The light of the reference, which holds what the model of LEDs does not know.
         self._light = light
 
     def _carried(self, skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
@@ -291,6 +295,7 @@ def sharpness(grey: U8, mask: Bool) -> float:
 
     image = grey.astype(np.float32)
     return math.log(
+        # A ratio, so that it does not depend on the light.
         max(steep(image), 1e-6) / max(steep(cv2.GaussianBlur(image, (0, 0), SHARP_PX)), 1e-6)
     )
 

@@ -37,6 +37,7 @@ def _away(rng: Rng, low: float, high: float, *taken: float) -> float:
     """Draw a size that is not within 5 % of a test object's (`taken`)."""
     while True:
         value = float(rng.uniform(low, high))
+        # Networks are judged on those objects: a size of theirs in training would be a leak.
         if all(abs(value / t - 1) > 0.05 for t in taken):
             return value
 
@@ -65,7 +66,8 @@ def _stand(sdf: Sdf) -> Shape:
     x, y = (v.ravel() for v in np.meshgrid(axis, axis))
     z = np.full(x.shape, -40.0)
     for _ in range(48):
-        low = z < float(z.min()) + 6.0  # only columns that may still contain the lowest point
+        # Only columns that may still contain the lowest point.
+        low = z < float(z.min()) + 6.0
         d = sdf(np.stack((x[low], y[low], z[low]), axis=1))
         z[low] += np.maximum(d, 0)
         if float(d.max()) < 1e-3:
@@ -98,6 +100,7 @@ def _rectangle(
 
 
 def _ellipse(a: float, b: float) -> Outline:
+    # Too small by up to the ratio of the axes, and never too large.
     return lambda x, y: (_norm(x / a, y / b) - 1) * min(a, b)
 
 
@@ -179,9 +182,8 @@ def _random_outline(rng: Rng) -> Outline:
 def _extruded(rng: Rng) -> Sdf:
     outline = _random_outline(rng)
     rounding = float(rng.choice((rng.uniform(0.1, 0.35), rng.uniform(0.1, 1.2))))
-    wall = (
-        math.tan(math.radians(rng.uniform(0, 35))) if rng.random() < 0.25 else 0.0
-    )  # drafted walls
+    # Drafted walls, as of what is cast or moulded.
+    wall = math.tan(math.radians(rng.uniform(0, 35))) if rng.random() < 0.25 else 0.0
     slope = 1 / math.sqrt(1 + wall * wall)
 
     def sdf(p: F64) -> F64:
@@ -192,6 +194,7 @@ def _extruded(rng: Rng) -> Sdf:
         outside = _norm(np.maximum(side, 0), np.maximum(cap, 0))
         return np.asarray(np.minimum(np.maximum(side, cap), 0) + outside - rounding)
 
+    # Half of them upright, as objects are pressed on purpose; people hold the others askew.
     tilt = 0.0 if rng.random() < 0.5 else 25.0
     return _turned(sdf, _rotation(rng, tilt))
 
@@ -267,6 +270,8 @@ def _bumpy(rng: Rng) -> Sdf:
         rng.uniform(-2.5, 2.5, n),
     )
     steep = float(np.sum(np.abs(top) / width)) * 0.61  # the greatest slopes of the Gaussians
+    # Heights above a slope are longer than the distance to it: divided by its length, they are no
+    # longer too large.
     slope = 1 / math.sqrt(1 + min(steep, 4.0) ** 2)
 
     def sdf(p: F64) -> F64:
@@ -290,4 +295,5 @@ _KINDS: tuple[Callable[[Rng], Sdf], ...] = (
     _cone,
     _bumpy,
 )
+# Extruded outlines have the most variety, and are nearly half of what is drawn.
 _WEIGHTS = (0.46, 0.10, 0.06, 0.09, 0.06, 0.09, 0.07, 0.07)

@@ -29,6 +29,8 @@ from tacshade_edge.sensor.geometry import disc_map
 from tacshade_edge.types import F32, F64, U8, Bool, Disc, Geometry
 
 N = disc_map.CELLS
+# Rest and the dent after a release must not be felt, so both are seen; more of them would take away
+# from what is measured.
 UNLOADED_PART, RELEASED_PART, UNDRAGGED_PART, NUISANCE_PART = 0.04, 0.04, 0.3, 0.5
 PLATE_PART = 0.5
 MEMBRANE = DragMechanics(leant_mm, compiled.carry)
@@ -43,9 +45,11 @@ def random_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press,
     """
     scale = model.skin_radius_mm / 20
     reach = 0.85 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
+    # Deeper than users press, so that the depths in use do not lie at the edge of what was seen.
     target = float(rng.uniform(0.1, 6.5)) * scale
     presses: list[Press] = []
     for _ in range(int(rng.choice((1, 2, 3), p=(0.78, 0.15, 0.07)))):
+        # Between evenly over the area (0.5) and over the radius (1): denser in the middle.
         rho, angle = reach * rng.uniform() ** 0.6, rng.uniform(0, 2 * math.pi)
         x, y = rho * math.cos(angle), rho * math.sin(angle)
         size = float(rng.uniform(0.7, 1.3))
@@ -71,6 +75,7 @@ def wide_presses(model: SensorModel, rng: np.random.Generator) -> tuple[Press, .
 
 def _plate(rng: np.random.Generator, reach: float) -> Shape:
     """Draw a plate: everything above a tilted plane, cut off along up to two lines."""
+    # The root: evenly over the directions of the normal.
     tilt = math.radians(25.0) * math.sqrt(rng.uniform())
     normal = np.array((math.sin(tilt), 0.0, math.cos(tilt)))
     cuts: list[tuple[float, float, float]] = []
@@ -93,6 +98,7 @@ def random_drag(
     """Drag objects by up to 5 mm (on a skin of 20 mm) and twist them,
     all in the same way or each differently.
     """
+    # A hand moves everything it holds; two fingers do not.
     scale, alike = model.skin_radius_mm / 20, rng.random() < 0.6
     dragged = []
     for k, press in enumerate(presses):
@@ -137,6 +143,7 @@ def uneven_skin(
     if unevenness.two_scales:
         return two_scale_skin(model, presses, leaning_mm, compiled.solve)
     flat = undeformed(model.skin_radius_mm)
+    # On domes only: a fit simulates no twin of a flat skin.
     floor = obstacle_of(model.skin_radius_mm, presses, leaning_mm)
     if not floor.any():
         return flat
@@ -165,6 +172,7 @@ def with_skirt(skin: Skin, part: float, reach_mm: float) -> Skin:
     spread = cv2.GaussianBlur(
         skin.height_mm, (0, 0), reach_mm / skin.step_mm, borderType=cv2.BORDER_CONSTANT
     )
+    # The blur must not push the skin into the object.
     height = np.maximum((1 - part) * skin.height_mm + part * spread, skin.obstacle_mm)
     return replace(skin, height_mm=np.asarray(height, np.float32))
 
@@ -183,6 +191,8 @@ def pressed_skin(
         target = max(p.depth_mm for p in presses)
         try:
             depth = 0.0
+            # The depth that was drawn is that of one object on its own; several, or one at the
+            # side, reach less deep or deeper.
             for _ in range(2):
                 found = float(obstacle_of(model.skin_radius_mm, presses).max())
                 if abs(found - target) < 0.3 * target or found == 0:
@@ -195,6 +205,7 @@ def pressed_skin(
                 presses = random_drag(presses, model, rng)
             shape = functools.partial(uneven_skin, model, presses, unevenness)
             return drag_skin(shape, model, presses, unevenness.mechanics or MEMBRANE), presses
+        # An object that is not over the skin, or reaches the middle: draw again.
         except ValueError:
             continue
 
@@ -259,6 +270,8 @@ def true_maps(
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N), N)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N), N)
     disc = geometry.disc
+    # `seen` is where the calibration says that the circle is, `disc` where it is: they differ a
+    # little, as in life.
     inside = within(disc, rows, cols) & within(seen, rows, cols)
     height, contact = np.zeros(N * N, np.float32), np.zeros(N * N, bool)
     if skin.height_mm.any():

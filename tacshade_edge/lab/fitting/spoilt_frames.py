@@ -46,6 +46,7 @@ def spoil(
     spoiled = _moved(torch.cat((maps, references))[source], rows, cols)
     maps[index] = torch.where(torn, spoiled, maps[index]) * inside
     untrusted[index] = torn * inside
+    # What is spoilt has no depth: networks learn to claim none there.
     height *= 1 - untrusted
     contact *= 1 - untrusted
     return untrusted
@@ -61,6 +62,8 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
         max(int(rng.integers(-cells // 4, int(0.85 * cells))), 0),
         int(rng.integers(3, cells // 2)),
     )
+    # Each kind is a fault that cameras had: a lost packet shifts or repeats rows, a full buffer
+    # mixes two frames.
     source, kind = k, int(rng.integers(5))
     end = cells if rng.random() < 0.7 else min(cells, row + int(rng.integers(6, cells)))
     rows, cols = np.arange(cells, dtype=np.float32), np.arange(cells, dtype=np.float32)
@@ -74,6 +77,8 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
         source = int(rng.integers(frames))
     else:  # the camera moved against its housing; copies of the outermost cells fill the gap
         far, angle = math.exp(rng.uniform(*np.log(MOVED_CELLS))), rng.uniform(0, 2 * math.pi)
+        # Of a frame or of the reference: a camera may have moved in its housing before the first
+        # touch.
         source = k if rng.random() < 0.5 else frames + k
         row, end = 0, cells
         rows, cols = (

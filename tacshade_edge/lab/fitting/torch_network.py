@@ -58,6 +58,7 @@ class TorchNetwork:
         self._weights: dict[str, Tensor] = {}
         for prefix, data in (("", frame), (_ONCE, once)):
             values, at = torch.from_numpy(values_of(data)), 0
+            # As the files list them: `flat` and a calibration keep the same order.
             for weight in weights_of(data):
                 size = (weight.end - weight.begin) // 4
                 # Channels last: 1.4 to 2.4 times as fast on a processor.
@@ -78,6 +79,8 @@ class TorchNetwork:
         `white`: Tensor float32 (B, fold², N, N). `known` (Tensor float32 (B, fold² + 6, N, N)):
         what is known of each frame's sensor (`sensor.depth.learned.known_maps`).
         """
+        # What depends on the sensor alone is computed once by the daemon, and here for every frame,
+        # because it is trained too.
         once = [weight for name, weight in self._weights.items() if name.startswith(_ONCE)]
         weight = next(each for each in once if each.dim() == 4)
         bias = next(each for each in once if each.dim() == 1)

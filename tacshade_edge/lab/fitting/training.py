@@ -75,7 +75,8 @@ class Maps:
             turned(self.contact[index]).float(),
         )
         shear = turned(self.shear[index]) * HEIGHT_SCALE
-        for _ in range(turn % 4):  # a quarter turn of rows and columns maps x to -y and y to x
+        # A quarter turn of rows and columns maps x to -y and y to x.
+        for _ in range(turn % 4):
             shear = torch.stack((shear[:, 1], -shear[:, 0]), 1)
         if turn >= 4:
             shear = shear * shear.new_tensor((-1, 1))[:, None, None]
@@ -85,6 +86,7 @@ class Maps:
         """The network's inputs."""
         known = self.known.expand(len(white), -1, -1, -1)
         known = torch.cat((functional.pixel_unshuffle(at_rest[:, None], self.fold), known), 1)
+        # Channels last: 1.4 to 2.4 times as fast on a processor.
         last = torch.channels_last
         white = functional.pixel_unshuffle(white[:, None], self.fold)
         return white.contiguous(memory_format=last), known.contiguous(memory_format=last)
@@ -96,6 +98,7 @@ class Maps:
         """
         depth = self.height.flatten(1).amax(1).float() * skin_radii
         touching = functional.adaptive_avg_pool2d(self.contact[:, None].float(), COARSE_CELLS)
+        # Without contact there is no mean; any small number gives 0.
         part = touching.sum((2, 3)).clamp(min=1e-6)
         drag = ((touching * self.shear).sum((2, 3)) / part).norm(dim=1) * skin_radii
         usual = (depth < USUAL_DEPTH) & (drag < USUAL_DRAG)
@@ -113,6 +116,7 @@ def maps_of(calibration: Calibration, parts: Sequence[Frames], name: str) -> Map
             return values
         means = functional.avg_pool2d(values.float()[:, None], by)[:, 0]
         if values.dtype == torch.bool:
+            # A cell touches if most of it does.
             return means >= 0.5
         return (means if values.is_floating_point() else means.round()).to(values.dtype)
 
@@ -143,9 +147,8 @@ def halved(device: str) -> torch.autocast:
     a processor without it would take ten times as long.
     """
     kind = torch.device(device).type
-    capable: dict[str, bool] = getattr(
-        torch.cpu, "get_capabilities", dict
-    )()  # older releases do not have it
+    # Older releases of PyTorch do not have it.
+    capable: dict[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
     return torch.autocast(
         kind,
         torch.bfloat16,
@@ -164,20 +167,26 @@ def train(
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, RATE, total_steps=steps, pct_start=WARM_PART
     )
+    # Two streams: torch draws the frames, numpy what is done to them; both from fixed seeds, so
+    # that a fit can be repeated.
     rng, draw = np.random.default_rng(0), torch.Generator().manual_seed(0)
     chances = maps.chances(skin_radii)
     for step in range(1, steps + 1):
         index = torch.multinomial(chances, BATCH, replacement=True, generator=draw)
+        # A lattice turned by a quarter is another one: networks learn more from it, yet must know
+        # this.
         turn = 0 if rng.random() < OWN_PART else int(rng.integers(8))
         white, at_rest, height, contact, shear = maps.batch(index, turn)
         untrusted = spoil(white, at_rest, height, contact, TORN_PART, rng)
         optimiser.zero_grad(set_to_none=True)
+        # Sums of parts are the gradient of the batch.
         for some in torch.arange(BATCH).split(AT_ONCE):
             with halved("cpu"):
                 made = network(*maps.inputs(white[some], at_rest[some]))
             true = (maps.fold, *(each[some] for each in (height, contact, shear, untrusted)))
             loss = depth_loss(made, *true)
             (loss * (len(some) / BATCH)).backward()
+        # One frame that is torn in a new way must not undo many steps.
         torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
         optimiser.step()
         schedule.step()

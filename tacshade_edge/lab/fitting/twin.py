@@ -45,6 +45,7 @@ from tacshade_edge.types import F32, F64, U8, Bool, Calibration
 
 LEAST_PRESSES, MOST_PRESSES = 5, 8
 DECAYS_MM, FRICTIONS = (1.3, 1.7, 2.2, 2.9, 3.8), (0.6, 0.8, 1.0)
+# The found print never stands so exactly that cells could be compared one by one.
 SMOOTH_CELLS = 2.0
 LIKELY = 1.1
 """Mechanics that leave at most this many times the best ones' error unexplained are likely."""
@@ -72,6 +73,7 @@ def likely_mechanics(
     balls = [p for p in presses if p.indenter is None and p.x_mm is not None and p.y_mm is not None]
     if len(balls) < LEAST_PRESSES:
         return Mechanics()
+    # So that the few that are taken cover all depths.
     balls.sort(key=lambda press: press.depth_mm)
     balls = [
         balls[int(k)] for k in np.linspace(0, len(balls) - 1, min(len(balls), MOST_PRESSES)).round()
@@ -93,6 +95,7 @@ def likely_mechanics(
             pressed = Press(
                 ball(press.radius_mm), press.x_mm or 0.0, press.y_mm or 0.0, press.depth_mm
             )
+            # Changes are compared, not pictures, so what is wrong with the print cancels.
             made = _soft(drawn(uneven_skin(skin_model, (pressed,), Unevenness())) - free)
             off += float(np.square((made - change)[white.inside]).mean())
         errors[decay_mm, friction] = off
@@ -116,6 +119,7 @@ WHOLE, HALVED = "accurate", "balanced"
 REFERENCES = 3
 WIDE_PART = 0.1
 """Share of the presses that are of plates and of large objects."""
+# Lengths and radii in pitches that a print can have: a cloud reaches beyond.
 LOWEST, HIGHEST = np.array((0.2, 0.08, 0.08, 0.2)), np.array((2.5, 0.48, 0.48, 0.62))
 DRAG_DECAY_MM, COULOMB = (2.0, 12.0), (0.8, 10.0)
 """Ranges of the mechanics that no press shows."""
@@ -152,6 +156,7 @@ class View:
         disc = calibration.geometry.disc
         self.model = replace(
             model,
+            # As far as calibrations of the same sensor differ from each other.
             row_c=disc.row_c + float(rng.normal(0, 0.3)),
             col_c=disc.col_c + float(rng.normal(0, 0.3)),
             disc_radius_px=disc.radius_px * (1 + float(rng.normal(0, 0.003))),
@@ -166,6 +171,7 @@ class View:
         self.renderer = renderer_of(found, self.model, layout)
         clean = self.renderer.draw(undeformed(self.model.skin_radius_mm))
         greys = [self.renderer.level(clean, int(rng.integers(1 << 30))) for _ in range(REFERENCES)]
+        # Each view has its own reference, as each sensor has: the networks see a frame against it.
         own = with_reference(calibration, greys)
         made = {way: Preprocessor(own, PROFILES[way]) for way in (WHOLE, HALVED)}
         self._ways = {
@@ -218,6 +224,8 @@ def _bytes(white: F32) -> U8:
 
 def drawn_values(found: Found, rng: np.random.Generator) -> F64:
     """A member of the cloud of prints that look like the reference."""
+    # What the reference does not decide differs from view to view: networks learn not to rely on
+    # it.
     values = rng.multivariate_normal(found.values, found.cloud())
     values[:4] = np.clip(values[:4], LOWEST, HIGHEST)
     values[-1] = np.clip(values[-1], *BLURS_PX)
@@ -234,6 +242,7 @@ def drawn_dome(
 
     dome = replace(
         base,
+        # Evenly over ratios: twice as long is as far as half as long.
         skin_decay_mm=math.exp(draw(*np.log(mechanics.decay_mm))),
         friction=draw(*mechanics.friction),
         drag_decay_mm=draw(*DRAG_DECAY_MM),
@@ -247,6 +256,7 @@ def drawn_dome(
         return dome, Unevenness(two_scales=True, mechanics=TURNING if rng.random() < 0.7 else None)
     if kind < TWO_SCALES_PART + UNEVEN_PART:
         side = len(undeformed(base.skin_radius_mm).height_mm)
+        # Seven values across the dome: gel that was cast unevenly varies slowly.
         coarse = rng.normal(0, 0.3, (7, 7)).astype(np.float32)
         stiffness = np.exp(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)).astype(
             np.float32
@@ -281,6 +291,7 @@ def simulate(
     for _ in range(skins):
         dome, unevenness = drawn_dome(prints[0].base, mechanics, rng)
         skin, presses = random_skin(dome, unevenness, rng, drawn_presses)
+        # A skin is solved once and shown by every print.
         for view in seen:
             view.wear(dome)
             image = view.renderer.level(view.renderer.draw(skin), int(rng.integers(1 << 30)))
@@ -302,6 +313,7 @@ def simulate(
     )
 
 
+# Of one array: a damaged file must not ask for all memory.
 BYTES_MAX = 1 << 28
 
 
@@ -317,6 +329,7 @@ class Steps:
         self._folder, self._own = folder, f"fit-{digest[:16]}-"
         with disk_errors(folder.parent):
             folder.mkdir(exist_ok=True)
+            # Those of a fit that was given up would fill a card.
             for path in folder.glob("fit-*.npz"):
                 if not path.name.startswith(self._own):
                     path.unlink()
@@ -369,14 +382,15 @@ class Steps:
         file = io.BytesIO()
         np.savez(file, **arrays)
         with disk_errors(self._folder):
+            # Not synced: after a power cut, a step is computed again.
             write_whole(self._path(name), file.getvalue(), sync=False)
 
     def _load(self, name: str) -> dict[str, Any]:
         path = self._path(name)
         try:
-            return {
-                key: each.copy() for key, each in read_arrays(path, BYTES_MAX).items()
-            }  # PyTorch wants to own it
+            # PyTorch wants to own it.
+            return {key: each.copy() for key, each in read_arrays(path, BYTES_MAX).items()}
+        # Removed, so that the next try computes it anew.
         except DecodeError:
             path.unlink()
             raise

@@ -76,6 +76,7 @@ def worked(task: Task, say: Say) -> dict[str, F32]:
 
     Raises DeviceError (the system killed a worker; a step cannot be written).
     """
+    # The dearest first, so that no core is left alone with it at the end.
     names = sorted(NAMES, key=lambda name: -_COSTS[name])
     done = SPAWN.Array("i", len(names))
     most = min(usable_cores(), _MOST_WORKERS)
@@ -123,7 +124,8 @@ def _train(task: Task, name: str, number: int) -> None:
     seeds = range(effort.batches - effort.held_out)
     parts = [task.steps.frames(_frames_name(seed)) for seed in seeds]
     maps = training.maps_of(task.calibration, parts, name)
-    del parts  # half of the memory of a training
+    # Half of the memory of a training.
+    del parts
     done = _steps_done
     assert done is not None
 
@@ -141,6 +143,7 @@ def _wait(
     began_s, slow = time.monotonic(), False
     waiting = set(jobs)
     while waiting:
+        # FIRST_EXCEPTION: what one of them raised must not wait for the others.
         finished, waiting = wait(waiting, _SAY_S, "FIRST_EXCEPTION")
         for job in finished:
             job.result()

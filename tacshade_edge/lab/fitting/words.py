@@ -83,10 +83,12 @@ def found_words(
         if key in stated:
             sizes.append(f"{what} {stated[key]:g} mm {how} as stated")
             continue
+        # A size that nothing shows would look like a finding.
         if what == "markers" and best.values[k] == MERGED:
             sizes.append("markers that merge")
             continue
         each = pitch_mm * np.array([found.values[k] for found in prints])
+        # Ranges, not single values: a person compares them with a drawing, and prints alike differ.
         spread = pitch_mm * math.sqrt(best.cloud()[k, k])
         sizes.append(
             f"{what} {max(each.min() - spread, 0):.2f} to {each.max() + spread:.2f} mm {how}"

@@ -6,9 +6,8 @@ allows, with the pressure p = kn (h - λ²∇²h), and slides elsewhere: frictio
 (Johnson, Contact Mechanics, 1985, ch. 7). For λt = λ, the traction is the difference of two such
 pressures (Ciavarella 1998; Jäger 1998).
 
-The dome also leans like a short beam (`leant_mm`); skin and dome are springs in series. Full of
-gel, it keeps its volume and bulges around objects (`bulged_mm`). The problem is static: a contact
-that slid sticks again at once when the object turns back.
+The dome also leans and bulges (`leaning`); skin and dome are springs in series. The problem is
+static: a contact that slid sticks again at once when the object turns back.
 """
 
 from __future__ import annotations
@@ -20,6 +19,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from tacshade_edge.lab.simulator.leaning import bulged_mm, displaced_mm3, swayed_mm
+from tacshade_edge.lab.simulator.leaning import leant_mm as leant_mm
 from tacshade_edge.lab.simulator.membrane import finer, slid, solve
 from tacshade_edge.lab.simulator.press import Press, distances_mm
 from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG, SensorModel
@@ -32,17 +33,18 @@ from tacshade_edge.lab.simulator.skin import (
     mass_weight,
     net_pull,
     node_directions,
-    obstacle_of,
     press_skin,
     rest_x_y_mm,
-    undeformed,
 )
 from tacshade_edge.types import F32, F64, I64
 
-_EVERY = 2  # step of this grid in nodes of the skin's grid: w is smooth
+# Step of this grid in nodes of the grid of the skin: w is smooth, and so costs a quarter.
+_EVERY = 2
 _TOUCHING_MM = 1e-3
 _STUCK_MM = 0.02
-_STEEPEST = 0.75  # limit of w over λt, and of any change of the origin: skin that would fold slides
+# Limit of w over λt, and of any change of the origin: skin that would fold slides. Below 1, what
+# `render.carried` iterates is a contraction.
+_STEEPEST = 0.75
 _SWAY_TOLERANCE_MM = 0.05
 _LEAST_MM = 1e-9  # a displacement that is divided by
 
@@ -97,60 +99,12 @@ def drag_skin(
         [(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0
     )
     skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
+    # Skin and dome are springs in series: what the contacts carry along the skin loads the dome. If
+    # nothing slid, this is the sway that was assumed.
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
     if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
         skin, _ = _swaying(shape, model, presses, mechanics, rest, loaded_mm)
     return skin
-
-
-def leant_mm(direction: F64, sway_mm: F64) -> F64:
-    """Displacement (..., 3) of the leaning dome's skin at unit vectors (..., 3), for a sway (2,) at
-    the apex: the dome shears from the rim up and turns by half as much, like a beam that is as long
-    as it is wide.
-    """
-    low = math.cos(math.radians(RIM_HALF_ANGLE_DEG))
-    up = np.clip((direction[..., 2] - low) / (1 - low), 0, 1)
-    turn = (
-        np.minimum(up / 0.1, 1) * (direction[..., :2] @ sway_mm) * (0.5 / (1 - low))
-    )  # nothing moves at the rim
-    return np.concatenate((up[..., None] * sway_mm, -turn[..., None]), axis=-1)
-
-
-def swayed_mm(points_mm: F64, sway_mm: F64, size_mm: float) -> F64:
-    """Displacement (..., 3) of a pad's skin at points (..., 3), for a sway (2,) in the middle: it
-    shears along itself, and is held at its rim.
-    """
-    rim_mm = 2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2))
-    part = np.maximum(1 - np.sum(points_mm[..., :2] ** 2, axis=-1) / rim_mm**2, 0)
-    along = part[..., None] * sway_mm
-    return np.concatenate((along, np.zeros((*part.shape, 1))), axis=-1)
-
-
-def bulged_mm(direction: F64, volume_mm3: float, radius_mm: float) -> F64:
-    """The outward displacement of the dome's sides, (..., 3) mm, at unit vectors (..., 3),
-    by `volume_mm3` in total.
-    """
-    rim = math.radians(RIM_HALF_ANGLE_DEG)
-    angle = np.minimum(np.arccos(np.clip(direction[..., 2], -1, 1)) / rim, 1)
-    inner = np.linspace(0, rim, 200)
-    area_mm2 = (
-        2
-        * math.pi
-        * radius_mm**2
-        * float(np.mean(np.sin(math.pi * inner / rim) ** 2 * np.sin(inner)))
-        * rim
-    )
-    return np.asarray((volume_mm3 / area_mm2 * np.sin(math.pi * angle) ** 2)[..., None] * direction)
-
-
-def _displaced_mm3(radius_mm: float, presses: Sequence[Press]) -> float:
-    """Volume of the objects inside the undeformed skin, as seen from O; to first order in h."""
-    obstacle = obstacle_of(radius_mm, presses)
-    step_mm = undeformed(radius_mm).step_mm
-    weight = mass_weight(
-        radius_mm, step_mm, len(obstacle) // 2
-    )  # inside the rim, equal to the area's weight
-    return float(np.sum(obstacle * np.minimum(weight, 1))) * step_mm**2
 
 
 def _swaying(
@@ -203,7 +157,7 @@ def _leaning(
         return swayed_mm(direction, sway_mm, size_mm), None
     moved = mechanics.lean(direction, sway_mm)
     if model.bulge:
-        displaced = model.bulge * _displaced_mm3(radius_mm, presses)
+        displaced = model.bulge * displaced_mm3(radius_mm, presses)
         moved += bulged_mm(direction, displaced, radius_mm)
     if not moved.any():
         return moved, None
@@ -295,6 +249,8 @@ def carry(
     """`Mechanics.carry` of the membrane: `slid` under Coulomb's law."""
     asked_mm = np.linalg.norm(contacts.held_mm, axis=1)
     steepest = _STEEPEST * model.drag_decay_mm / np.maximum(asked_mm, _LEAST_MM)
+    # The equation of `slid` is that of the membrane times (step / λt)², and so is its limit: μ p =
+    # μ kn (h - λ²∇²h), over kt.
     nodes = (step_mm / model.drag_decay_mm) ** 2
     held, limit = np.zeros((2, *weight.shape), np.float32), np.zeros(weight.shape, np.float32)
     held[:, contacts.rows, contacts.cols] = (contacts.held_mm * np.minimum(steepest, 1)[:, None]).T
@@ -327,6 +283,7 @@ def _chart_over(x_y_mm: F64, radius_mm: float) -> F64:
     if math.isinf(radius_mm):
         return x_y_mm
     rho = np.linalg.norm(x_y_mm, axis=1, keepdims=True)
+    # Just inside the equator, so that rounding makes no root of a negative number below.
     on = x_y_mm * np.minimum(1, 0.999 * radius_mm / np.maximum(rho, _LEAST_MM))
     z = np.sqrt(radius_mm**2 - np.sum(on * on, axis=1))
     return np.stack(direction_to_chart(np.column_stack((on, z)), radius_mm), axis=-1)
@@ -373,6 +330,7 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
     for owner in np.unique(contacts.owner):
         mine = contacts.owner == owner
         held, mean_mm = contacts.held_mm[mine], float(contacts.pressure_mm[mine].mean())
+        # One pressure for the whole contact: this model has no partial slip.
         most = min(model.coulomb * mean_mm, 0.6 * model.drag_decay_mm) / max(
             float(np.linalg.norm(held, axis=1).mean()), _LEAST_MM
         )
@@ -382,12 +340,14 @@ def carry_far(contacts: Contacts, weight: F32, step_mm: float, model: SensorMode
             beside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
         )
         of_label = np.zeros((label.max() + 1, 2))
+        # A label is the nearest node in contact, whose displacement the skin around it follows.
         of_label[label[contacts.rows[mine], contacts.cols[mine]]] = held * min(most, 1)
         decays = distance * (step_mm / model.drag_decay_mm)
         part = 0.5 * np.exp(-2 * decays) + 0.5 / (1 + decays * decays)
         spread = cv2.blur(of_label[label], (5, 5)) * part[..., None]
         carried += np.asarray(np.moveaxis(spread, 2, 0), np.float32)
-    beyond = weight**-0.5 - 1  # tan² of half the angle from the apex
+    # The weight is (1 + tan²)^-2 of half the angle from the apex.
+    beyond = weight**-0.5 - 1
     rim = math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
     return np.asarray(
         carried * np.where(weight < CLAMPED, np.clip(1 - (beyond / rim) ** 3, 0, 1), 0), np.float32

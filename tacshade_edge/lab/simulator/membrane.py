@@ -142,6 +142,8 @@ def _slide(w: F32, held: F32, limit: F32, mass: F32) -> None:
             total = neighbours[0] + neighbours[1]
             total += neighbours[2]
             total += neighbours[3]
+            # What would hold the node where it sticks; Coulomb takes as much of it as the pressure
+            # allows.
             traction = stuck - total
             size = np.sqrt(traction[0] ** 2 + traction[1] ** 2)
             traction *= np.minimum(most / np.maximum(size, 1e-12), 1)
@@ -160,11 +162,13 @@ def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide) -> F32:
     relaxation that starts on a quarter of the nodes.
     """
     if min(mass.shape) >= _COARSEST:
+        # As with the mass, a limit is per node, and a coarse node stands for four.
         few = [np.ascontiguousarray(each[..., ::2, ::2]) for each in (held, limit * 4, mass * 4)]
         coarse = slid(few[0], few[1], few[2], relax)
         w = np.where(limit > 0, held, finer(coarse, mass.shape))
     else:
         w = held.copy()
+    # Coarse grids end elsewhere, so the border is cleared after the resampling.
     w[:, 0] = w[:, -1] = 0
     w[:, :, 0] = w[:, :, -1] = 0
     relax(w, held, limit, mass)

@@ -20,7 +20,8 @@ from tacshade_edge.types import F32, F64
 
 BULGE_HEIGHT_MM = 1.5
 EDGE_ROUNDING_MM = 1.0
-_REACH_MM = 18.0  # from a sensor's axis; bulges farther away are below any skin pressed 3 mm deep
+# From the axis of a sensor; farther bulges are below any skin pressed 3 mm deep.
+_REACH_MM = 18.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,7 @@ class Pad:
         apex of the undeformed skin.
         """
         x, y, _ = base_T_sensor.translation_mm
+        # Each bulge costs a distance at every node; most are far away.
         near = [
             b for b in self.bulges if float(b.outline(np.array([x]), np.array([y]))[0]) < _REACH_MM
         ]
@@ -128,6 +130,7 @@ class Pad:
 def _distance(bulges: Sequence[Bulge], p: F64) -> F64:
     nearest = p[:, 2]
     for bulge in bulges:
+        # A bulge is a smaller one, spread by the rounding: distances stay exact around its edges.
         side = bulge.outline(p[:, 0], p[:, 1]) + EDGE_ROUNDING_MM
         cap = p[:, 2] - (BULGE_HEIGHT_MM - EDGE_ROUNDING_MM)
         outside = np.hypot(np.maximum(side, 0), np.maximum(cap, 0))
@@ -168,6 +171,7 @@ def scan(pad: Pad, step_mm: float, depth_mm: float, apex_mm: float) -> list[Rigi
     """``base_T_sensor`` of presses straight down on a grid that reaches every edge of the pad, row
     by row, to and fro, with the undeformed apex `depth_mm` below the highest point.
     """
+    # From the highest point, so that every press has a depth; over the plate it is less.
     z = BULGE_HEIGHT_MM - depth_mm + apex_mm
     xs, ys = (
         np.linspace(0, side, math.ceil(side / step_mm) + 1).tolist()
@@ -176,6 +180,7 @@ def scan(pad: Pad, step_mm: float, depth_mm: float, apex_mm: float) -> list[Rigi
     return [
         shift(x, y, z) @ _DOWN
         for row, y in enumerate(ys)
+        # To and fro: neighbouring presses in time are neighbours in place, as a robot would go.
         for x in (xs if row % 2 == 0 else reversed(xs))
     ]
 
@@ -198,6 +203,7 @@ def disturbed(
             axis / np.linalg.norm(axis) * math.radians(sigma_deg) * rng.standard_normal()
         )
         moved = shift(*(sigma_mm * rng.standard_normal(3)).tolist())
+        # About the apex: about the origin of the base, a small angle would be a large shift.
         out.append(moved @ about_apex(pose, rotation, apex_mm))
     return out
 

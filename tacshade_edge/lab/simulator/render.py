@@ -157,7 +157,8 @@ def tangents(normal: F64) -> tuple[F64, F64]:
 
 
 _SUPERSAMPLING = 2
-_SHIFT = 4  # fractional bits of drawn coordinates
+# Fractional bits of drawn coordinates: without them a pin would jump by pixels as the skin moves.
+_SHIFT = 4
 _PIN_CORNERS = 10
 _DRAG_STEPS = 40
 _DRAG_TOLERANCE_MM = 2e-3
@@ -189,9 +190,11 @@ class Renderer:
         rows, cols = np.mgrid[: model.image_height_px, : model.image_width_px].astype(np.float32)
         rho = np.hypot(rows - model.row_c, cols - model.col_c) / model.disc_radius_px
         self._inside = np.clip((1 - rho) * model.disc_radius_px + 0.5, 0, 1).astype(np.float32)
+        # A stream of its own, so that light and glints do not depend on how many pins there are.
         rng = np.random.default_rng((model.print_seed, 2))
         light = model.light * (1 - model.vignetting * np.minimum(rho, 1.2) ** 2)
         angle = np.arctan2(rows - model.row_c, cols - model.col_c)
+        # LEDs differ: one side of the circle is brighter by 5 %.
         self._light = (
             light * (1 + 0.05 * np.cos(angle - rng.uniform(0, 6.3)) * np.minimum(rho, 1))
         ).astype(np.float32)
@@ -210,6 +213,7 @@ class Renderer:
     def expose(self, image: F32, noise_seed: int) -> U8:
         """Add the camera's noise and colour, and quantise: uint8 (H, W, 3) BGR."""
         level = self.level(image, noise_seed)
+        # White balance comes after quantisation, so that channels share their steps.
         ramp = np.arange(256)[None, :, None] * np.array(self.model.colour_bgr)
         table = np.clip(ramp + 0.5, 0, 255).astype(np.uint8)
         return np.asarray(cv2.LUT(cv2.merge((level, level, level)), table), np.uint8)
@@ -219,6 +223,7 @@ class Renderer:
         because demosaicking leaves nearly the same noise in each.
         """
         model, rng = self.model, np.random.default_rng((noise_seed, 3))
+        # Photons: the variance grows with the level.
         variance = model.read_noise_grey**2 + np.maximum(image, 0) * (
             model.shot_noise_grey**2 / 255
         )
@@ -237,6 +242,7 @@ class Renderer:
         )
         ground, white, black, tip_level = (round(255 * each) for each in reflectances)
         canvas = np.full(size, ground, np.uint8)
+        # Printed features are stiffer than the gel: they follow its mean, not each crease.
         smooth = smoothed(skin, float(np.mean(marks.pin_base_mm)))
         outline = _on_skin(skin, *self._carried(smooth, marks.marker_chart_mm, model.friction))
         for polygon in _to_canvas(project(model.geometry, outline)):
@@ -250,8 +256,10 @@ class Renderer:
 
         def fill(polygons: np.typing.NDArray[np.int32]) -> None:
             for polygon in polygons:
+                # In perspective, the side of a frustum is nearly the hull of its two discs.
                 cv2.fillConvexPoly(canvas, cv2.convexHull(polygon), black, cv2.LINE_8, _SHIFT)
 
+        # From the skin inwards: pins hide markers, and each ring what lies below it.
         below = disc(0.0, marks.pin_base_mm)
         for height, of_base, of_tip in self._profile.rings:
             ring = disc(height, of_base * marks.pin_base_mm + of_tip * marks.pin_tip_mm)
@@ -273,6 +281,7 @@ class Renderer:
         normal = _outward_normals(smooth, chart)
         lag = np.zeros_like(normal)
         if skin.origin_mm is not None:
+            # Tips hang in the gel, which moves less than the skin.
             lag[:, :2] = self.model.pin_lag * skin.sample_origin(chart[:, 0], chart[:, 1])
         return _Pins(_on_skin(skin, direction, chart), normal, *tangents(normal), lag)
 
@@ -314,7 +323,8 @@ def carried(skin: Skin, chart_mm: F64, friction: float) -> tuple[F64, F64]:
     direction, now = skin.carried_inwards(chart_mm, friction)
     if skin.origin_mm is None:
         return direction, now
-    for _ in range(_DRAG_STEPS):  # a contraction, because `drag` lets no skin fold
+    # A contraction, because `drag` lets no skin fold.
+    for _ in range(_DRAG_STEPS):
         before = now
         direction, now = skin.carried_inwards(
             chart_mm - skin.sample_origin(now[..., 0], now[..., 1]), friction
@@ -363,6 +373,7 @@ def _to_canvas(points: F64) -> np.typing.NDArray[np.int32]:
     """Convert image coordinates to the supersampled canvas, in fixed point."""
     s = _SUPERSAMPLING
     scaled = (points * s + (s - 1) / 2) * (1 << _SHIFT)
+    # OpenCV shifts in 32 bits: a point far outside would wrap around into the picture.
     return np.clip(np.rint(scaled), -(2**24), 2**24).astype(np.int32)
 
 

@@ -12,7 +12,9 @@ import numpy as np
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 
-_DRAG_STEPS = 3  # drawing a new position takes as long as several frames, a held one costs nothing
+# Drawing a new position takes as long as several frames, a held one costs nothing.
+_DRAG_STEPS = 3
+# Any number of turns by it leaves no gaps (the sunflower of Vogel, 1979).
 _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
@@ -63,6 +65,7 @@ class Script:
         press = self.presses[turn]
         drag = self.drags[turn % len(self.drags)] if self.drags else Drag()
         frame -= self.pause
+        # The pause comes first, so that frame 0 is without contact.
         if frame < 0:
             return ()
         if frame < self.approach:
@@ -118,6 +121,7 @@ def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Pr
     reach = 0.66 * model.skin_radius_mm * math.sin(math.radians(model.visible_half_angle_deg))
 
     def stratified(low: float, high: float) -> list[float]:
+        # One from each of as many equal parts, so that few presses cover the range too.
         cells = (rng.permutation(count) + rng.uniform(0, 1, count)) / max(count, 1)
         return [round(float(low + (high - low) * c) * scale, 3) for c in cells]
 
@@ -125,6 +129,7 @@ def ball_presses(model: SensorModel, count: int, seed: int = 0) -> list[tuple[Pr
     for k, (radius, depth) in enumerate(
         zip(stratified(3.0, 9.0), stratified(0.5, 4.0), strict=True)
     ):
+        # The root spreads them evenly over the area, not over the radius.
         rho, angle = reach * math.sqrt((k + 0.5) / count), k * _GOLDEN_ANGLE
         x, y = round(rho * math.cos(angle), 3), round(rho * math.sin(angle), 3)
         presses.append((Press(ball(radius), x, y, depth), radius))

@@ -61,6 +61,9 @@ class SensorModel:
     disc_radius_px: Positive = 205.0
     pitch_mm: Positive = 1.9
     lattice_rotation_deg: NotNegative = 7.0
+    # Long pins with wide tips: with shorter or thinner ones, contact darkens (see `tactip`).
+    # This is how a TacShade brightens: such pins hide most of the white of the concave skin, and
+    # part where it flattens.
     pin_length_pitches: Positive = 1.6
     pin_tip_radius_pitches: Positive = 0.36
     pin_base_radius_pitches: Positive = 0.28
@@ -88,16 +91,19 @@ class SensorModel:
     shot_noise_grey: NotNegative = 2.5
     surround: Surround = "bright"
     specular_spots: int = 4
+    # Not the seed of the noise: two pictures of a sensor differ in noise, never in print.
     print_seed: int = 0
 
     def __post_init__(self) -> None:
         """Raise ValueError with the parameter's name for a value that cannot be simulated."""
         require_bounds(self)
         _, size_mm = self.form_mm
+        # Coarser, no pattern repeats in the circle; finer, it is grey to the camera.
         if self.pitch_mm > size_mm / 3 or self.pitch_mm < size_mm / 50:
             raise ValueError(
                 f"pitch_mm is {self.pitch_mm}, expected a 50th to a third of skin_radius_mm"
             )
+        # Such tips would come near O, where neighbouring pins meet.
         if self.pin_length_pitches * self.pitch_mm > size_mm / 2:
             raise ValueError(
                 f"pin_length_pitches is {self.pin_length_pitches}: "
@@ -105,6 +111,7 @@ class SensorModel:
             )
         if self.skin not in ("dome", "pad"):
             raise ValueError(f"skin is {self.skin!r}, expected dome or pad")
+        # The volume of what a pad yields has no sides to go to.
         if self.skin == "pad" and self.bulge:
             raise ValueError(f"bulge is {self.bulge}, expected 0 for a pad")
         if self.camera_distance_mm is not None and not self.geometry.f_px > 0:
@@ -187,6 +194,7 @@ def random_model(seed: int, image_height_px: int = 480, image_width_px: int = 64
     creep_rng = np.random.default_rng((seed, _CREEP_STREAM))
     side_px = min(image_height_px, image_width_px)
     disc_radius_px = side_px * float(rng.uniform(0.36, 0.45))
+    # The circle stays inside the picture, wherever its middle is drawn.
     slack_px = 0.5 * side_px - disc_radius_px
     return SensorModel(
         image_height_px=image_height_px,
@@ -218,6 +226,7 @@ def flattened(model: SensorModel) -> SensorModel:
     """
     d = model.camera_distance_mm
     if d is not None:
+        # The rim of the circle lies this far from O, in whose plane a pad lies.
         d += model.skin_radius_mm * math.cos(math.radians(model.visible_half_angle_deg))
     return replace(model, skin="pad", camera_distance_mm=d, bulge=0.0)
 

@@ -63,6 +63,7 @@ def contact_centre(body: Shape, sensor_T_object: Rigid, skin_radius_mm: float) -
     middle = inside @ directions
     middle /= np.linalg.norm(middle)
     t = skin_radius_mm
+    # From outside, by distances: the point lies on the object, not on the undeformed skin.
     for _ in range(_STEPS):
         t += float(body.sdf(object_T_sensor.apply(t * middle[None]))[0])
         t = min(max(t, _NEAREST * skin_radius_mm), skin_radius_mm)
@@ -73,6 +74,7 @@ def moved_along(grip: Grip, now: Rigid, at_mm: F64) -> tuple[float, float, float
     """Drag along x and y in mm, and twist in degrees, of the material now at a point (3,)."""
     back = grip.sensor_T_object @ now.inverse()
     x_mm, y_mm = (at_mm - back.apply(at_mm))[:2].tolist()
+    # The turn about z that comes nearest to the rotation in the plane of the skin.
     (a, b), (c, d) = back.rotation[:2, :2]
     x, y, turned = grip.slid
     return x_mm - x, y_mm - y, math.degrees(math.atan2(b - c, a + d)) - turned
@@ -158,6 +160,7 @@ class HandScript:
             return one
         part = (t_s - self.times_s[k - 1]) / (self.times_s[k] - self.times_s[k - 1])
         a, b = one.hand_T_object, other.hand_T_object
+        # Along the shortest turn, at a steady rate.
         rotation = a.rotation @ turn(part * turned_rad(a.rotation.T @ b.rotation)).rotation
         pose = Rigid(rotation, a.translation_mm + part * (b.translation_mm - a.translation_mm))
         return Placement(
@@ -248,6 +251,7 @@ def follow(
     """
     last: tuple[Placement, Felt] | None = None
     for placement in placements:
+        # By identity: `HandScript.at` returns the same placement while everything rests.
         if last is None or last[0] is not placement:
             hand_T_sensor = placement.hand_T_sensor(fingers, k)
             grip = last[1].grip if last else None

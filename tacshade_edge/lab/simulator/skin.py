@@ -31,8 +31,10 @@ GRID_STEPS_PER_SIZE = 80
 
 CLAMPED = 1e6
 """The mass weight beyond the rim: no skin moves there."""
+# Finer than the lowest point of a tilted object, which `press` knows to 2 µm.
 _TRACE_TOLERANCE_MM = 1e-4
-_LEAST_TRACE_MM = 2e-3  # a few rays run along a wall, which would take hundreds of steps
+# A few rays run along a wall, which would take hundreds of steps.
+_LEAST_TRACE_MM = 2e-3
 _TRACE_STEPS = 400
 _OUTERMOST = 1.25
 """How far from O a leaning or bulging skin may reach, in skin radii."""
@@ -111,9 +113,11 @@ class Skin:
         """
         direction = chart_to_direction(chart_mm[..., 0], chart_mm[..., 1], self.radius_mm)
         if math.isinf(self.radius_mm):
+            # The radius of a pad is its z: what sinks stays where it is in the chart.
             return direction, chart_mm
         height = self.sample_pressed(chart_mm[..., 0], chart_mm[..., 1])
         moved = direction * (self.radius_mm - (1 - friction) * height)[..., None]
+        # h is measured along the radius; along -z the same surface is 1 / cosθ farther.
         moved[..., 2] -= friction * height / direction[..., 2]
         moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
         return moved, np.stack(direction_to_chart(moved, self.radius_mm), axis=-1)
@@ -144,10 +148,12 @@ def press_skin(
     if not presses:
         return free.leaning(leaning_mm)
     obstacle = obstacle_of(radius_mm, presses, leaning_mm, size_mm)
+    # What has crept carries no load: only what an object presses beyond it acts on the gel.
     beyond = obstacle if rest_mm is None else np.maximum(obstacle - rest_mm, 0)
     if not beyond.any():
         return flat if rest_mm is None else free.leaning(leaning_mm)
     weight = mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
+    # Nine decays away, less than exp(-9) of the depth is left: below the tolerance of `solve`.
     window = window_of(beyond > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
     pressed = np.zeros_like(obstacle)
     pressed[window] = solver(
@@ -167,6 +173,7 @@ def left_over(skin: Skin, part: float) -> Skin:
     return replace(
         skin,
         height_mm=skin.height_mm * weaker,
+        # The object is gone: nothing of the dent is a contact.
         obstacle_mm=np.zeros_like(skin.obstacle_mm),
         leaning_mm=None if skin.leaning_mm is None else skin.leaning_mm * weaker,
         origin_mm=None if skin.origin_mm is None else skin.origin_mm * weaker,
@@ -183,6 +190,7 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
     mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32(
         (skin.step_mm / decay_mm) ** 2
     )
+    # With the stencil of the solver, so that free skin, which it left in balance, has no pressure.
     pull = np.zeros_like(h)
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
     pull[1:-1, 1:-1] = (4 + mass[1:-1, 1:-1]) * h[1:-1, 1:-1] - neighbours
@@ -206,6 +214,7 @@ def direction_to_chart(direction: F64, radius_mm: float) -> tuple[F64, F64]:
     """
     if math.isinf(radius_mm):
         return direction[..., 0], direction[..., 1]
+    # The projection is from the pole at -z: infinite only there, far beyond the clamped rim.
     k = 2 * radius_mm / (np.linalg.norm(direction, axis=-1) + direction[..., 2])
     return direction[..., 0] * k, direction[..., 1] * k
 
@@ -250,6 +259,8 @@ def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
         axis = (node * (step_mm / of_mm)) ** 2 / 4
         return axis[:, None] + axis[None, :]
 
+    # The size comes back from the step, which was divided by it: rounding may have made it less
+    # than the radius, and the rim another one.
     q, size_mm = squares(radius_mm), min(radius_mm, step_mm * GRID_STEPS_PER_SIZE * _ROUNDING)
     to_rim = q if size_mm == radius_mm else squares(size_mm)
     clamped = to_rim > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
@@ -281,10 +292,14 @@ def obstacle_of(
     size_mm = size_mm or radius_mm
     at_rest = np.float32(size_mm if math.isinf(radius_mm) else radius_mm)
     surface = at_rest if leaning_mm is None else at_rest - leaning_mm
+    # Where an object lies does not depend on how it came there; without the drag, an object that is
+    # dragged on the spot is traced once.
     still = tuple(replace(press, drag_x_mm=0.0, drag_y_mm=0.0, twist_deg=0.0) for press in presses)
     return np.asarray(np.maximum(surface - _entries(radius_mm, size_mm, still), 0), np.float32)
 
 
+# Two: a sway, which moves the skin and not the object, solves the same presses again, and so does
+# what bulges.
 @functools.lru_cache(maxsize=2)
 def _entries(radius_mm: float, size_mm: float, presses: tuple[Press, ...]) -> F32:
     """The distance from O at which each node's ray enters an object, infinite if none; the last
@@ -293,26 +308,30 @@ def _entries(radius_mm: float, size_mm: float, presses: tuple[Press, ...]) -> F3
     rays, flat = _directions(radius_mm, *_grid(size_mm)), math.isinf(radius_mm)
     origins = np.zeros((1, 3)) if not flat else (rays - (0, 0, size_mm)).reshape(-1, 3)
     start = float(distance_mm(presses, radius_mm, origins).min())
+    # Rays start as far from O as the nearest object; one around O leaves no way in.
     if start < 0.1 * size_mm:
         raise ValueError(f"the press reaches the sensor's centre (skin radius {radius_mm} mm)")
     entries = np.full(rays.shape[:2], np.inf, np.float32)
     index = np.flatnonzero(_within_rim(rays, radius_mm, size_mm))
     ray, end = rays.reshape(-1, 3)[index], np.float32(_OUTERMOST * size_mm)
+    # O of a nearly flat dome lies deeper below its skin than its size.
     if not flat and radius_mm > size_mm:
         end += np.float32(radius_mm - size_mm)
     t: F32 = np.full(len(index), start, np.float32)
     for _ in range(_TRACE_STEPS):
         at = np.column_stack((ray[:, :2], t - np.float32(size_mm))) if flat else ray * t[:, None]
+        # Sphere tracing (Hart 1996): nothing is nearer than the distance, so no step jumps through
+        # a wall.
         d = distance_mm(presses, radius_mm, at)
         hit = d < _TRACE_TOLERANCE_MM
-        entries.flat[index[hit]] = t[hit] + np.minimum(
-            d[hit], 0
-        )  # back out of what the least step entered
+        # Back out of what the least step entered.
+        entries.flat[index[hit]] = t[hit] + np.minimum(d[hit], 0)
         t = (t + np.maximum(d, _LEAST_TRACE_MM)).astype(np.float32)
         on = ~hit & (t < end)
         index, ray, t = index[on], ray[on], t[on]
         if not len(index):
             break
+    # The cache hands the same array to everyone.
     entries.flags.writeable = False
     return entries
 

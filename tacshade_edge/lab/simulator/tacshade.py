@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 
+# Digits are those of the search, not of what is known: Table I has ten figures.
 TACSHADE = SensorModel(
     skin_radius_mm=21.0359,
     camera_distance_mm=36.4959,

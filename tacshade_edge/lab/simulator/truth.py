@@ -23,6 +23,7 @@ from tacshade_edge.lab.simulator.skin import (
 )
 from tacshade_edge.types import F32, F64, U8, Bool, Geometry
 
+# The solver and the march leave less; the skirt leaves the object steeper than that.
 CONTACT_TOLERANCE_MM = 0.02
 """Skin within this distance of the object touches it; the elastic skirt does not."""
 
@@ -104,11 +105,13 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
     low, high = root(float(skin.height_mm.max())), root(min(float(skin.height_mm.min()), 0))
     # Most rays cross the skin once, where it is undeformed or gently deformed; march nevertheless.
     everything = slice(None)
+    # Between the spheres that the deepest and the highest skin lie on: nothing is outside them.
     start, step = low.copy(), (high - low) / _MARCH_STEPS
     f_low = outside(low, everything)
     f_high = np.zeros_like(f_low)
     searching = f_low < 0
     high = np.where(searching, high, low)
+    # All rays at once: those that have crossed drop out.
     for k in range(1, _MARCH_STEPS + 1):
         s = (start + k * step)[searching]
         f = outside(s, searching)
@@ -125,6 +128,7 @@ def skin_points(skin: Skin, geometry: Geometry, row: F64, col: F64) -> F64:
         up = f >= 0
         f_low, f_high = np.where(up, f_low / 2, f), np.where(up, f, f_high / 2)
         low, high = np.where(up, low, s), np.where(up, s, high)
+    # The Illinois variant may stop with either end nearer.
     best = np.where(np.abs(outside(low, everything)) < np.abs(outside(high, everything)), low, high)
     return origin + best[:, None] * along
 
@@ -200,9 +204,8 @@ class SimulatedSensor:
     def __init__(self, model: SensorModel | None = None) -> None:
         self.model = model or SensorModel()
         self._renderer = Renderer(self.model)
-        self._last: tuple[tuple[Press, ...], Skin] | None = (
-            None  # a held press costs only its noise
-        )
+        # A held press costs only its noise.
+        self._last: tuple[tuple[Press, ...], Skin] | None = None
         self._drawn: tuple[Skin, F32] | None = None
 
     def frame(self, presses: Sequence[Press] = (), noise_seed: int = 0) -> SimulatedFrame:

@@ -36,9 +36,11 @@ def csv_lines(header: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
 
 
 def _plain(value: object) -> object:
+    # A bool is an int to Python, and would be written as True.
     if isinstance(value, bool):
         return int(value)
     if isinstance(value, float):
+        # Six digits: more than any figure here is worth, and the same on every machine.
         return "" if math.isnan(value) else f"{value:.6g}"
     return value
 
@@ -78,6 +80,7 @@ def grouped(rows: Iterable[Row], by: str | Callable[[Row], Any]) -> dict[Any, li
     groups: dict[Any, list[Row]] = {}
     value = attrgetter(by) if isinstance(by, str) else by
     for row in rows:
+        # Not itertools.groupby, which would need sorted rows and lose their order.
         groups.setdefault(value(row), []).append(row)
     return groups
 
@@ -93,6 +96,7 @@ def without_nan(value: Any) -> Any:
         return {key: without_nan(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(v) for v in value]
+    # json would write NaN, which other readers refuse.
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
@@ -103,6 +107,7 @@ def new_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    # Not pyplot, which keeps figures alive and looks for a screen.
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacshade_edge.lab.simulator.drag import drag_skin, leant_mm
+from tacshade_edge.lab.simulator.drag import drag_skin
+from tacshade_edge.lab.simulator.leaning import leant_mm
 from tacshade_edge.lab.simulator.membrane import slid, solve
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.lab.simulator.render import carried

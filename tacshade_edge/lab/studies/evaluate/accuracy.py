@@ -79,6 +79,7 @@ def figures(rows: Iterable[Row]) -> Figures:
 
     def mean_mm(name: str) -> float:
         found = [(r, getattr(r, name)) for r in some]
+        # What was missed counts: a method that finds only easy presses would otherwise win.
         return _mean(r.true_depth_mm if math.isnan(mm) else mm for r, mm in found)
 
     return Figures(
@@ -91,6 +92,7 @@ def figures(rows: Iterable[Row]) -> Figures:
         sd_pct=_mean(r.sd_pct for r in some),
         sd_sum_pct=_mean(r.sd_sum_pct for r in some),
         iou=_mean(r.iou for r in some if not math.isnan(r.iou)),
+        # A depth that is not known is wrong by all of it.
         depth_error_pct=_mean(100.0 if r.touched else abs(r.depth_error_pct) for r in some),
     )
 
@@ -102,6 +104,7 @@ def null_figures(rows: Iterable[Row]) -> NullFigures:
         frames=len(some),
         phantoms=sum(r.contact for r in some),
         touched=sum(r.touched for r in some),
+        # Touched frames state no depth.
         deepest_mm=max((r.found_depth_mm for r in some if not r.touched), default=0.0),
         refused=sum(not r.valid for r in some),
     )
@@ -150,6 +153,7 @@ def _family_table(rows: Sequence[Row]) -> str:
 
 def _objects_table(title: str, profiles: Mapping[str, Sequence[Row]], names: Sequence[str]) -> str:
     paper = {name: TABLE_I[name] for name in names if name in TABLE_I}
+    # A mean beside ours only if it is of the same objects.
     if len(paper) == len(names) > 1:
         paper["mean"] = (
             _mean(me for me, _ in paper.values()),

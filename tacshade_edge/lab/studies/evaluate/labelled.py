@@ -76,6 +76,7 @@ def found_row(image: str, result: Reconstruction) -> FoundRow:
 
 def agreements(rows: Sequence[FoundRow], known: Sequence[Mapping[str, float]]) -> list[Agreement]:
     """Compare found values with known ones, row by row."""
+    # Refused frames state nothing, and are counted apart.
     used = [(row, labels) for row, labels in zip(rows, known, strict=True) if not row.refused]
     found = {name: np.array([getattr(row, name) for row, _ in used]) for name in COLUMNS}
     true = {name: np.array([labels.get(name, math.nan) for _, labels in used]) for name in COLUMNS}
@@ -127,8 +128,10 @@ def _followed(quantity: str, found: F64, true: F64) -> Agreement | None:
     """
     there = np.isfinite(found) & np.isfinite(true)
     found, true = found[there], true[there]
+    # A line through two points, and two to judge it by.
     if len(found) < 4:
         return None
+    # Every other frame, not halves: loads drift in the course of a recording.
     fit, rest = slice(0, None, 2), slice(1, None, 2)
     line = np.polynomial.Polynomial.fit(found[fit], true[fit], 1)
     error = float(np.abs(line(found[rest]) - true[rest]).mean())
@@ -143,6 +146,7 @@ def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
     found, true = found[there], true[there]
     if len(found) < 4 * found.shape[1]:
         return None
+    # Linear, since tilt and shear of a robot have axes, signs and origins of their own.
     to_true, *_ = np.linalg.lstsq(found[::2], true[::2], rcond=None)
     mapped, rest = found[1::2] @ to_true, true[1::2]
     both = [spearman(mapped[:, k], rest[:, k]) for k in (0, 1)]
@@ -154,6 +158,7 @@ def spearman(one: F64, other: F64) -> float:
     """Spearman's rank correlation; NaN if one does not vary."""
     from scipy.stats import rankdata  # takes a second, which whoever does not rank need not spend
 
+    # Mean ranks for equal values, as labels are often rounded.
     a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale > 0 else math.nan

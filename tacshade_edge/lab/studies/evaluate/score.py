@@ -44,10 +44,14 @@ def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudSc
 
     if not len(points_mm):
         return CloudScore(math.nan, 0.0, 0.0, math.nan)
+    # Eq. 13 looks one way only, from the found to the true points: what is missing costs nothing
+    # there. Hence the way back, which eq. 14 contains too.
     forward = float(cKDTree(true_points_mm).query(points_mm)[0].mean())
     backward = float(cKDTree(points_mm).query(true_points_mm)[0].mean())
     return CloudScore(
         forward,
+        # Eq. 14 leaves open whether its distance is the sum or the mean of both ways; both are
+        # reported, unclamped, because a negative SD says how bad a cloud is.
         1 - (forward + backward) / 2 / h_max_mm,
         1 - (forward + backward) / h_max_mm,
         backward,
@@ -109,11 +113,13 @@ class KnownTruth:
             at.append(np.clip(index, 0, size - 1))
             inside.append((index >= 0) & (index < size))
         taken = values[np.ix_(*at)]
+        # Clipped indices repeat the border, which is not known there.
         taken[~(inside[0][:, None] & inside[1][None, :])] = beyond
         return taken
 
     def halved(self) -> KnownTruth:
         """The same ground truth for an image of half the size."""
+        # Pixel centres: the middle of the first two pixels becomes pixel 0.
         row0, col0 = (self.row0 - 0.5) / 2, (self.col0 - 0.5) / 2
         return replace(self, row0=row0, col0=col0, step_px=self.step_px / 2)
 
@@ -138,6 +144,7 @@ def between_pixels(points_mm: F32, contact: Bool) -> F32:
     beside = apart[0][np.isfinite(apart[0])]
     if not beside.size:
         return points_mm
+    # Farther apart is a step, such as the wall of a cube, where the skin has no points between.
     near = 3 * np.median(beside)
     middles = [
         ((one + other) / 2)[far < near] for (one, other), far in zip(pairs, apart, strict=True)
@@ -233,10 +240,11 @@ def score(label: Label, truth: KnownTruth, result: Reconstruction) -> Row:
 
 EXPECTED = "points_mm, or height_mm and contact"
 _BYTES_MAX = 256 << 20
+# Less is no contact; a part of the greatest that a skin can have, as a file may be in m.
 _DEPTH_MIN_MM, _DEPTH_PART_MAX = (
     0.02,
     0.8,
-)  # less is no contact; a part of the greatest that a skin can have, as a file may be in m
+)
 
 
 def read_truth(
@@ -310,12 +318,15 @@ def _depth_max(
 
     Raises DecodeError if it, or that of the points in contact, cannot be.
     """
+    # Without a map, the deepest point in contact is the depth: beside the object, the skirt is
+    # never deeper.
     deepest = float(point_heights(points, geometry).max()) if len(points) else 0.0
     depth_max = _number(
         content,
         "depth_max_mm",
         deepest if height is None else float(np.nanmax(height, initial=0.0)),
     )
+    # Catches metres and micrometres, which are the mistakes that files have.
     most = _DEPTH_PART_MAX * geometry.height_max_mm
     # Points as far outside the skin as they should be inside it are of another form of skin.
     known = ((depth_max, _DEPTH_MIN_MM), (deepest, -depth_max))

@@ -115,6 +115,7 @@ def family_of(sensor: str) -> str:
 def _in_family(
     family: str, seed: int | None, make: Callable[[int | None], PressedSensor]
 ) -> SensorName:
+    # A worker has imported only this module; its families come with the job.
     FAMILIES.setdefault(family, make)
     return SensorName(family, seed)
 
@@ -140,7 +141,11 @@ def calibrated_sensor(
     """
     model = sensor.model
     stated = StatedSensor(
-        model.skin_radius_mm, model.camera_distance_mm, model.visible_half_angle_deg, "bright"
+        # What a user states too, and nothing else: the rest is found in the pictures.
+        model.skin_radius_mm,
+        model.camera_distance_mm,
+        model.visible_half_angle_deg,
+        "bright",
     )
     unloaded = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(references)]
     pressed = [
@@ -176,6 +181,8 @@ def reconstructor(calibration: Calibration, profile: str) -> Reconstructor:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Keep OpenCV to one thread."""
+    # As on a board, where other fingers have the other cores; and times do not depend on how many
+    # there are.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -184,6 +191,7 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(threads)
 
 
+# Around the 3 mm that objects are usually pressed, on a skin of 20 mm; the paper states no depth.
 DEPTHS_MM = (1.5, 3.0, 4.5)
 RINGS = ((0.0, 0.1), (0.2, 0.28), (0.32, 0.38))
 """Ranges of the distance from the tip, in skin radii:
@@ -205,6 +213,7 @@ def places(model: SensorModel, seed: int | None) -> list[tuple[float, float, flo
     """Draw x and y in mm and a rotation in degrees, one in each of `RINGS`;
     the same seed gives the same places.
     """
+    # Places do not depend on the object, so that objects are compared at the same ones.
     rng = np.random.default_rng((0 if seed is None else seed + 1, 21))
     drawn = []
     for low, high in RINGS:
@@ -265,6 +274,7 @@ def null_cases(name: SensorName | str, sensor: PressedSensor, count: int) -> Ite
     """Yield pictures of the untouched skin as from a sensor in use:
     in turn unchanged, in other light, and shifted.
     """
+    # What a sensor in use goes through: LEDs age and warm up, a camera shifts in its seat.
     changes: dict[str, Callable[[U8], U8]] = {
         "": lambda image: image,
         "light x0.8": lambda image: camera_faults.gain(image, 0.8),
@@ -329,6 +339,7 @@ def score_cases(
     calibration: Calibration, profiles: Sequence[str], cases: Iterable[Case]
 ) -> list[Row]:
     """Score images one after another in this process."""
+    # Once for all cases: to load the networks takes longer than a frame.
     made = [reconstructor(calibration, profile) for profile in profiles]
     return [
         score(case.label, case.truth, each.step(Frame(0, 0, 0, case.image)))

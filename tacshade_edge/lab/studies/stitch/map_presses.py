@@ -68,6 +68,7 @@ def read_presses(
             continue
         result = reconstructor.step(Frame(seq=k, t_ns=0, wall_ns=0, image=image))
         points = press_points(result.height, calibration.geometry) if result.contact else NO_POINTS
+        # A contact of unknown depth has no points, and is no press into the air either.
         nothing = _UNMEASURED if result.touched else _NO_CONTACT
         skipped = result.reason or (None if len(points.points_mm) else nothing)
         presses.append(
@@ -109,6 +110,7 @@ def read_recording(
         result = reconstructor.step(frame)
         if result.touched:
             continue  # it is no press, and ends none
+        # As in the daemon: only a skin at rest shows the shape, not the way into it.
         if not rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm):
             continue
         if frame.pose is None:
@@ -158,10 +160,13 @@ def averaged(presses: Sequence[MapPress]) -> FinishedMap:
 
 PRESSES_MAX = 200
 """More presses are thinned evenly, because the time grows with the cube of their number."""
-_MOVING_MAX = 4  # frames of each press, evenly spaced: down and up again
+# Of each press, evenly spaced: down and up again, where a delay between frames and poses has
+# opposite signs.
+_MOVING_MAX = 4
 _MOVING_MM_S, _MOVING_DEG_S = 2.0, 2.0
 _DEPTH_MM = 0.5  # less is noise
-_TRACK_NS = 300_000_000  # on each side: a delay may be that long
+# On each side: a delay may be that long.
+_TRACK_NS = 300_000_000
 
 
 def frames_of_presses(presses: Sequence[MapPress], flange_T_sensor: Rigid) -> list[ContactFrame]:
@@ -222,6 +227,7 @@ def read_contact_frames(
             rests = rest.update(result.t_ns, contact, result.depth_max_mm)
         if frame.pose is None:
             continue
+        # At the time of the frame: the table states its pose, not when the robot sent one.
         track.append(replace(frame.pose, t_ns=frame.t_ns))
         if not contact or not (rests or result.depth_max_mm >= _DEPTH_MM):
             continue
@@ -240,12 +246,14 @@ def _moves(poses: Sequence[Pose]) -> bool:
     ns = after.t_ns - before.t_ns
     if not 0 < ns <= GAP_MAX_NS:
         return False
+    # At the flange itself, whose motion is looked for.
     moved_mm, turned_deg = correction(of_pose(before), of_pose(after), np.zeros(3))
     return moved_mm > _MOVING_MM_S * ns / 1e9 or turned_deg > _MOVING_DEG_S * ns / 1e9
 
 
 def _chosen(contacts: Sequence[_Contact], track: Sequence[Pose]) -> list[ContactFrame]:
     numbers = sorted({contact.number for contact in contacts})
+    # Rounded up, so that no more than the limit remain.
     numbers = numbers[:: -(-len(numbers) // PRESSES_MAX) or 1]
     found = []
     for press, number in enumerate(numbers):

@@ -20,7 +20,8 @@ from tacshade_edge.types import F32, F64, U8
 
 _BYTES_MAX = 64 << 20
 _STEP_MIN_MM = 0.001
-_CELLS_MAX = 1 << 22  # a 100 mm square at 0.05 mm
+# A 100 mm square at 0.05 mm: more is a mistake in the step, and would fill the memory.
+_CELLS_MAX = 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,7 @@ def score(found: Raster, known: Raster) -> Score:
     low, high = float(np.nanmin(known.z_mm)), float(np.nanmax(known.z_mm))
     half = (low + high) / 2
     with np.errstate(invalid="ignore"):
+        # Bulges apart: a map of nothing but the plate would otherwise look accurate.
         raised = known.z_mm > half
         over = true[both] > half
     there = np.isfinite(at_cells_of(found, known))
@@ -107,9 +109,11 @@ def at_cells_of(values: Raster, places: Raster) -> F32:
         (places.y0_mm, values.y0_mm, rows, values.z_mm.shape[0]),
         (places.x0_mm, values.x0_mm, cols, values.z_mm.shape[1]),
     ):
+        # The nearest cell, without interpolation: between cells, a map claims nothing.
         index = np.rint((first + np.arange(count) * places.step_mm - own) / values.step_mm).astype(
             np.int64
         )
+        # Beyond the raster, the index of the padding, which is NaN.
         indices.append(np.where((index < 0) | (index >= size), size, index))
     padded = np.pad(values.z_mm, ((0, 1), (0, 1)), constant_values=np.nan)
     return np.asarray(padded[np.ix_(*indices)])
@@ -121,7 +125,8 @@ def _rms(values: F64) -> float:
 
 _PANEL_PX = 600  # greatest width of a surface with fewer cells
 _ERROR_MM = 0.5
-_BEYOND_MM = 0.3  # range beyond the known heights that the colours distinguish
+# Range beyond the known heights that the colours distinguish.
+_BEYOND_MM = 0.3
 _UNTOUCHED_GREY = 225
 
 
@@ -131,6 +136,7 @@ def comparison_png(known: Raster, found: Raster, average: Raster) -> bytes:
     """
     span_mm = float(np.nanmin(known.z_mm)) - _BEYOND_MM, float(np.nanmax(known.z_mm)) + _BEYOND_MM
     ours, theirs = at_cells_of(found, known), at_cells_of(average, known)
+    # White in the middle: only what is wrong has a colour.
     up = np.minimum(2 * np.arange(256), 255)
     viridis = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0]
     blue_white_red = np.stack((up[::-1], np.minimum(up, up[::-1]), up), axis=1).astype(np.uint8)
@@ -161,6 +167,7 @@ def _panel(title: str, grid: Raster, z_mm: F32, span: tuple[float, float], colou
     )
     picture = colours[level]
     picture[~np.isfinite(z_mm)] = _UNTOUCHED_GREY
+    # Rows of pictures go down, y goes up.
     picture = np.flipud(picture).repeat(zoom, axis=0).repeat(zoom, axis=1)
     per_px, (rows, _) = grid.step_mm / zoom, picture.shape[:2]
     half = (grid.step_mm - per_px) / 2

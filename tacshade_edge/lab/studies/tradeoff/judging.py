@@ -69,7 +69,9 @@ def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
     """
     height, points = result.height, result.cloud.points_mm
     found = {"contact": abs(result.depth_max_mm - truth.depth_max_mm)}
+    # Eq. 13.
     found["cloud"] = (
+        # A contact that was missed counts as undeformed skin: it would otherwise improve the mean.
         score_cloud(points, truth.points_mm, 1.0).me_mm if len(points) else truth.depth_max_mm
     )
     touched = truth.contact_on(height)
@@ -78,6 +80,7 @@ def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
     )
     if touched is None or true_mm is None:
         return found
+    # Where something touches, or is said to: phantoms count as much as what is missed.
     off_mm = np.abs(height.height_mm - true_mm)
     cells = (touched | height.contact) & np.isfinite(off_mm)
     found["height"] = float(off_mm[cells].mean()) if cells.any() else truth.depth_max_mm
@@ -87,6 +90,7 @@ def errors(result: Reconstruction, truth: KnownTruth) -> dict[str, float]:
         found["shear"] = float(off[cells].mean()) if cells.any() else math.nan
     if result.sigma_mm is not None and height.contact.any():
         inside = off_mm <= INTERVAL_90 * result.sigma_mm
+        # Too wide is as wrong as too narrow.
         found["sigma"] = abs(100 * float(inside[height.contact].mean()) - 90)
     return found
 
@@ -124,6 +128,7 @@ def settings(profiles: Sequence[str], calibration: Calibration) -> tuple[Setting
     """All settings of these profiles; fitted ones where the calibration has a fitted network
     of the profile.
     """
+    # Only even sizes halve without a rest.
     even = calibration.image_height_px % 2 == calibration.image_width_px % 2 == 0
     return tuple(
         Setting(profile, half, fitted)
@@ -156,6 +161,7 @@ def judge(
         for k, (setting, one) in enumerate(made):
             result = one.step(Frame(0, 0, 0, setting.image(case.image)))
             contact[k] = result.contact
+            # The truth has the image of the camera that would be used.
             truth = case.truth.halved() if setting.half else case.truth
             if case.touched:
                 found = errors(result, truth)
@@ -204,6 +210,7 @@ def _simulated(task: tuple[Sequence[Setting], Simulation, str | None, int]) -> l
     if object_name is None:
         return judge(settings, one.calibration, null_cases(one.name, sensor, NULL_FRAMES))
     every = scenes(sensor.model, one.seed, object_name)
+    # Another place for each object, so that no place decides.
     first = number * len(DEPTHS_MM) % len(every)
     return judge(
         settings, one.calibration, _dragged(one.name, sensor, every[first : first + len(DEPTHS_MM)])

@@ -101,7 +101,8 @@ def measure(
     Also returns elapsed time over this thread's processor time, 1 if nothing else ran. Raises
     DeviceError (a worker was killed).
     """
-    first = [each for each in judged if each.sensor == judged[0].sensor]  # those of the calibration
+    # Those of the calibration.
+    first = [each for each in judged if each.sensor == judged[0].sensor]
     images = [each.image for each in first if each.touched][:WEIGHED_IMAGES]
     touched, untouched = (
         [each for each in judged if each.touched is touched] for touched in (True, False)
@@ -190,6 +191,7 @@ def _estimates(errors: F64) -> list[list[Estimate]]:
     every setting and output sees the same draws.
     """
     count = len(errors)
+    # The same draws for all: differences between settings are then those of settings.
     drawn = np.random.default_rng(0).integers(max(count, 1), size=(DRAWS, count))
     values = _mean(errors[None])[0]
     draws = _mean(errors[drawn]) if count >= LEAST else np.full((1, *values.shape), np.nan)
@@ -202,6 +204,7 @@ def _estimates(errors: F64) -> list[list[Estimate]]:
 
 def _mean(errors: F64) -> F64:
     """Means over the second axis of what is known."""
+    # An output of which nothing is known has NaN, not a warning.
     with np.errstate(invalid="ignore"):
         means: F64 = np.nansum(errors, axis=1) / np.isfinite(errors).sum(axis=1)
     return means
@@ -210,6 +213,7 @@ def _mean(errors: F64) -> F64:
 def _times(timed: Sequence[Timed], outputs: Sequence[str]) -> Times:
     """The times with these outputs only."""
     need = functools.reduce(operator.or_, (OUTPUTS[name].need for name in outputs))
+    # Without touch, a daemon does not compute it: the first has the times.
     one = timed[-1 if Need.TOUCH in need else 0]
     unasked = {
         part for part, flag in (("shear", Need.SHEAR), ("sigma", Need.SIGMA)) if flag not in need

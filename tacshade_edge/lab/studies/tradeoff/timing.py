@@ -29,16 +29,17 @@ def weigh(
     networks, and the temporary memory of a step, do. Raises DeviceError (a worker was killed).
     """
     tasks = [(setting, calibration, images) for setting in settings]
+    # A process for each: what one has allocated stays, and would hide the next.
     with processes(fresh=True) as workers:
         return list(reported_map(_peak_mib, tasks, workers, report, "settings weighed"))
 
 
 def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     setting, calibration, images = task
+    # ONNX Runtime is part of every process, whatever its settings.
     runtime()  # its import does not count
-    with contextlib.suppress(
-        OSError
-    ):  # if a kernel cannot reset the peak, that of the imports is hardly higher
+    # A kernel may not be able to reset the peak; that of the imports is hardly higher.
+    with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     before = _peak_kib()
     made = setting.make(calibration)
@@ -60,6 +61,7 @@ class Parts:
 
     def __init__(self) -> None:
         self.ms: dict[str, float] = {}
+        # Time of the processor, not of the clock: other programs must not count.
         self._last_ns = time.thread_time_ns()
 
     def __call__(self, part: str) -> None:
@@ -97,12 +99,14 @@ class Timed:
         ):
             first = len(taken)
             if count > 1:
-                self.frame(images[first % len(images)])  # warms the caches
+                # Warms the caches, which another setting has used meanwhile.
+                self.frame(images[first % len(images)])
             taken += [self.frame(images[(first + k) % len(images)]) for k in range(count)]
 
     def frame(self, image: U8) -> dict[str, float]:
         """Time the stages of a frame's step, then the encoding of each output."""
-        self._t_ns += FRAME_NS  # as in a stream, so that work not done on every frame costs as much
+        # As in a stream, so that work not done on every frame costs as much.
+        self._t_ns += FRAME_NS
         parts = Parts()
         result = self._made.step(Frame(0, self._t_ns, 0, image), parts, self.need)
         for name in self._outputs if result is not None and result.contact else ():

@@ -151,6 +151,7 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
     a user cannot choose.
     """
     fitted = {row.setting.profile for row in rows if row.setting.fitted}
+    # A daemon runs fitted networks where there are some: others are measured, and not offered.
     usual = [
         r
         for r in rows
@@ -158,6 +159,7 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
     ]
     if not usual:
         return False, "nothing holds: no setting found a contact"
+    # Unknown errors go last, in order of time.
     errors = np.nan_to_num(relative_errors(usual), nan=np.inf) * [
         HALF_WORSE if r.setting.half else 1 for r in usual
     ]
@@ -175,6 +177,7 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
         "nothing, no other is more accurate" if found is ranked[0] else _said(ranked[0], wish)
     )
     lines += [f"# given up: {given_up}", f"profile: {found.setting.profile}"]
+    # The size of the calibration needs no line: a daemon takes it from there.
     size = {"width_px": found.width_px, "height_px": found.height_px} if found.setting.half else {}
     source = size | ({} if wish.fps is None else {"fps": math.ceil(wish.fps)})
     if source and wish.fingers == 1:
@@ -204,6 +207,7 @@ def draw(rows: Sequence[Offer], budget_ms: float | None) -> bytes:
     """Plot error against p50 as a PNG: a panel for each output, with intervals,
     front and budget.
     """
+    # Rows of one output have a panel each; a row of several would repeat them.
     single = [row for row in rows if len(row.outputs) == 1] or rows
     panels = [
         (r.outputs, name)
@@ -213,6 +217,7 @@ def draw(rows: Sequence[Offer], budget_ms: float | None) -> bytes:
     ]
     panels = list(dict.fromkeys(panels))
     columns = min(3, max(1, len(panels)))
+    # One panel at least: a figure without any cannot be drawn.
     lines = -(-max(1, len(panels)) // columns)
     figure, axes = markdown.new_figure(lines, columns, 4.6 * columns, 3.4 * lines + 0.8)
     profiles = list(dict.fromkeys(row.setting.profile for row in rows))
