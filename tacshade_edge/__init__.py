@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tacshade_edge.library.subscriber import listen
     from tacshade_edge.types import Geometry, Pose, Slip, TouchedObject
     from tacshade_edge.wire.binary import CloudMessage, HeightMessage, ShearMessage, SigmaMessage
-    from tacshade_edge.wire.topics import Finger, HandObject, HandObjects, Motion, Unobservable
+    from tacshade_edge.wire.hand_topics import Finger, HandObject, HandObjects, Motion, Unobservable
 
     __version__: str
 
@@ -60,7 +60,7 @@ _HOMES = {
     "library.run_messages": ("decode", "decode_file"),
     "library.result": ("Result", "Results"),
     "library.sensor": ("Sensor", "load"),
-    "wire.topics": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
+    "wire.hand_topics": ("Finger", "HandObject", "HandObjects", "Motion", "Unobservable"),
     "wire.binary": ("CloudMessage", "HeightMessage", "ShearMessage", "SigmaMessage"),
     "types": ("Geometry", "Pose", "Slip", "TouchedObject"),
 }

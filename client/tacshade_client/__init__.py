@@ -9,23 +9,20 @@ from .messages import Message, decode_message, skin_mm
 from .rigid import Rigid, from_seven
 from .types import Geometry, Pose
 from .wire.codec import decode_object
-from .wire.topics import (
+from .wire.hand_topics import Finger, HandObject, HandObjects, Motion, Unobservable
+from .wire.health_topics import HandHealth, Health
+from .wire.sensor_topics import (
     Contact,
     ContactEvent,
-    Finger,
-    HandHealth,
-    HandObject,
-    HandObjects,
-    Health,
     Info,
     InfoGeometry,
-    Motion,
     ObjectEvent,
     SlipEvent,
     Status,
     StitchedMap,
     TouchNumbers,
-    Unobservable,
+)
+from .wire.topics import (
     decode_contact,
     decode_contact_event,
     decode_hand,

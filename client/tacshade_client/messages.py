@@ -10,7 +10,8 @@ from .errors import DecodeError
 from .quoting import shown
 from .sensor.geometry.disc import Grid, disc_rays, skin_points
 from .types import F32
-from .wire.topics import OF_HANDS, OF_SENSORS, InfoGeometry
+from .wire.sensor_topics import InfoGeometry
+from .wire.topics import OF_HANDS, OF_SENSORS
 from .wire.wire_format import HeightMessage
 
 _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z0-9_-]{1,64})/(.+)")

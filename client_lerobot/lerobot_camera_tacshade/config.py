@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from lerobot.cameras.configs import CameraConfig
 
 SIZE_PX = 112
+_SIZE_MIN_PX, _SIZE_MAX_PX = 8, 1024
 
 
 @CameraConfig.register_subclass("tacshade")
@@ -32,7 +33,9 @@ class TacShadeCameraConfig(CameraConfig):
     use_depth: bool = False
 
     def __post_init__(self) -> None:
-        if self.width != self.height or not self.width or not 8 <= self.width <= 1024:
+        width = self.width
+        if width != self.height or not width or not _SIZE_MIN_PX <= width <= _SIZE_MAX_PX:
             raise ValueError(
-                f"found a size of {self.width} x {self.height}, expected a square of 8 to 1024"
+                f"found a size of {width} x {self.height}, "
+                f"expected a square of {_SIZE_MIN_PX} to {_SIZE_MAX_PX}"
             )

@@ -30,10 +30,10 @@ from tacshade_edge.sensor.geometry.disc import Grid
 from tacshade_edge.wire.binary import CloudMessage, HeightMessage
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.messages import TOUCH_SCHEMA
+from tacshade_edge.wire.sensor_topics import Info
 from tacshade_edge.wire.topics import (
     ALIVE,
     OF_SENSORS,
-    Info,
     State,
     decode_info,
     decode_preview,

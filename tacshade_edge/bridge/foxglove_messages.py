@@ -34,7 +34,7 @@ from tacshade_edge.sensor.geometry.disc import Grid, disc_rays, skin_points
 from tacshade_edge.types import F32
 from tacshade_edge.types import Pose as RobotPose
 from tacshade_edge.wire.binary import CloudMessage, HeightMessage
-from tacshade_edge.wire.topics import Contact, Info
+from tacshade_edge.wire.sensor_topics import Contact, Info
 
 M_PER_MM: Final = 0.001
 SKIN_CELLS_MAX: Final = 48

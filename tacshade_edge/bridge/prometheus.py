@@ -18,7 +18,8 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.listener import Connections, Listener
-from tacshade_edge.wire.topics import ALIVE, STATES, Health, State, decode_health, decode_state
+from tacshade_edge.wire.health_topics import Health
+from tacshade_edge.wire.topics import ALIVE, STATES, State, decode_health, decode_state
 
 # Five are missed before an alert: a busy network delays one or two.
 FRESH_S: Final = 5.0

@@ -30,13 +30,9 @@ from tacshade_edge.daemon.taught_objects import ObjectEvents, TaughtObjects
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.free_memory import return_free_memory, share_free_memory
 from tacshade_edge.mqtt import links
+from tacshade_edge.mqtt.home_assistant import HomeAssistant
 from tacshade_edge.mqtt.outgoing import PayloadOutcome
-from tacshade_edge.mqtt.publishing import (
-    ContactEvents,
-    HealthReport,
-    HomeAssistant,
-    Preview,
-)
+from tacshade_edge.mqtt.publishing import ContactEvents, HealthReport, Preview
 from tacshade_edge.pipeline.ledger import FrameLedger, Timings
 from tacshade_edge.pipeline.observer import (
     FRAMES_SENT_S,

@@ -38,8 +38,9 @@ from tacshade_edge.wire.hand_messages import (
     encode_hand,
     finger_of,
 )
+from tacshade_edge.wire.hand_topics import Finger
+from tacshade_edge.wire.health_topics import HandHealth
 from tacshade_edge.wire.requests import Request
-from tacshade_edge.wire.topics import Finger, HandHealth
 
 BYTES_MAX = 1 << 15
 

@@ -14,7 +14,7 @@ from tacshade_edge.hand.object_tracking import ObjectMotion, ObjectTracker, Patc
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Slip
 from tacshade_edge.wire.hand_messages import away, rounded_triple
-from tacshade_edge.wire.topics import Finger, HandObjects, Motion, Unobservable
+from tacshade_edge.wire.hand_topics import Finger, HandObjects, Motion, Unobservable
 
 # Of a finger, the greatest first: a message of five fingers stays within the decoder's limit.
 PATCHES_MAX: Final = 4

@@ -23,7 +23,7 @@ from tacshade_edge.settings import Settings, strict_yaml
 from tacshade_edge.settings.conversion import convert
 from tacshade_edge.settings.model import wrong_with
 from tacshade_edge.wire.hand_messages import finger_of
-from tacshade_edge.wire.topics import Finger, HandObjects
+from tacshade_edge.wire.hand_topics import Finger, HandObjects
 
 _log = logging.getLogger(__name__)
 

@@ -25,12 +25,9 @@ from tacshade_edge.types import (
     TouchedObject,
 )
 from tacshade_edge.wire.binary import HeightMessage, ShearMessage, SigmaMessage
+from tacshade_edge.wire.sensor_topics import Contact, Info, ObjectEvent, TouchNumbers
 from tacshade_edge.wire.topics import (
     OF_SENSORS,
-    Contact,
-    Info,
-    ObjectEvent,
-    TouchNumbers,
     decode_contact,
     decode_info,
     decode_object_event,

@@ -25,7 +25,7 @@ from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.settings import Settings, V4l2
 from tacshade_edge.settings import load as load_settings
 from tacshade_edge.types import Frame
-from tacshade_edge.wire.topics import HandObjects
+from tacshade_edge.wire.hand_topics import HandObjects
 
 _log = logging.getLogger(__name__)
 

@@ -10,7 +10,8 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.arguments import path_of, wrong
 from tacshade_edge.recording.runs import payloads
 from tacshade_edge.wire import binary
-from tacshade_edge.wire.topics import HandObjects, decode_hand
+from tacshade_edge.wire.hand_topics import HandObjects
+from tacshade_edge.wire.topics import decode_hand
 
 Message = binary.HeightMessage | binary.CloudMessage | binary.ShearMessage | binary.SigmaMessage
 

@@ -99,7 +99,11 @@ class Sensor:
             The argument is none of these, or another thread is using the sensor.
         """
         if isinstance(image, np.ndarray):
-            shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+            match image.shape:
+                case (_, _) | (_, _, 3):
+                    shaped = True
+                case _:
+                    shaped = False
             if image.dtype != np.uint8 or not shaped or image.size == 0:
                 raise ConfigError(f"image: found {image.dtype} {image.shape}, expected {_EXPECTED}")
             pixels: U8 = np.ascontiguousarray(image)

@@ -2,6 +2,6 @@
 
 In: frames' results, payloads. Out: messages and requests.
 Threads: paho's.
-Other rooms use: `caller`, `client`, `client_id_guard`, `follower`, `link`, `links`, `outgoing`,
-    `publishing`.
+Other rooms use: `caller`, `client`, `client_id_guard`, `follower`, `home_assistant`, `link`,
+    `links`, `outgoing`, `publishing`.
 """

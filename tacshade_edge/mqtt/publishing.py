@@ -1,16 +1,13 @@
-"""What is published, and when: a frame's results, ``health``, ``preview``,
-and the announcement in Home Assistant.
-"""
+"""What is published, and when: a frame's results, ``health`` and ``preview``."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import cv2
-import msgspec
 import numpy as np
 
 from tacshade_edge.mqtt.link import MqttLink
@@ -19,102 +16,9 @@ from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip
-from tacshade_edge.version import installed_version
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.codec import encode_json
-from tacshade_edge.wire.messages import encode_status
-from tacshade_edge.wire.topics import ContactEvent, decode_status
-
-_ENTITIES: Final = {
-    "depth": "sensor",
-    "contact": "binary_sensor",
-    "touches": "event",
-    "state": "sensor",
-    "profile": "select",
-    "rezero": "button",
-}
-# Home Assistant takes None for unknown. A touch without a depth is on:
-# whoever waits for a touch must not miss one.
-_DEPTH_TEMPLATE: Final = (
-    "{{ None if value_json.depth_max_mm is none else value_json.depth_max_mm | round(1) }}"
-)
-_CONTACT_TEMPLATE: Final = "{{ 'ON' if value_json.contact or value_json.touched else 'OFF' }}"
-
-
-def discovery_topics(sensor_id: str) -> tuple[str, ...]:
-    """The full topics of the announcements."""
-    return tuple(
-        f"homeassistant/{component}/{sensor_id}/{name}/config"
-        for name, component in _ENTITIES.items()
-    )
-
-
-def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -> dict[str, bytes]:
-    """The announcements by topic (https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery).
-
-    The depth is rounded because Home Assistant stores each value that differs
-    from the previous one.
-    """
-    base = f"tacshade/{sensor_id}"
-    online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
-    device = {
-        "identifiers": [f"tacshade_{sensor_id}"],
-        "name": f"TacShade {sensor_id}",
-        "model": "TacShade",
-    }
-    common = {
-        "device": {**device, "sw_version": version},
-        "origin": {"name": "tacshade-edge", "sw_version": version},
-        "availability": [{"topic": f"{base}/state", "value_template": online}],
-    }
-    entities: dict[str, dict[str, Any]] = {
-        "depth": {
-            "name": "Depth",
-            "state_topic": f"{base}/contact",
-            "value_template": _DEPTH_TEMPLATE,
-            "unit_of_measurement": "mm",
-            "device_class": "distance",
-            "state_class": "measurement",
-            "suggested_display_precision": 1,
-        },
-        "contact": {
-            "name": "Contact",
-            "state_topic": f"{base}/contact",
-            "value_template": _CONTACT_TEMPLATE,
-        },
-        "touches": {
-            "name": "Touches",
-            "state_topic": f"{base}/event/contact",
-            "value_template": "{{ dict(value_json, event_type=value_json.type) | to_json }}",
-            "event_types": ["new", "update", "end"],
-            "qos": 1,
-        },
-        "state": {"name": "State", "state_topic": f"{base}/state", "entity_category": "diagnostic"},
-        "profile": {
-            "name": "Profile",
-            "state_topic": f"{base}/info",
-            "value_template": "{{ value_json.choice }}",
-            "command_topic": f"{base}/req/profile",
-            "command_template": '{"profile": "{{ value }}"}',
-            "qos": 1,
-            "options": [name for name in profiles if name != "paper"],  # a baseline of studies
-            "entity_category": "config",
-        },
-        "rezero": {
-            "name": "Re-zero",
-            "command_topic": f"{base}/req/reference",
-            "payload_press": "{}",
-            "qos": 1,
-            "entity_category": "config",
-        },
-    }
-    return {
-        topic: msgspec.json.encode(
-            {**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common}
-        )
-        for topic, name in zip(discovery_topics(sensor_id), _ENTITIES, strict=True)
-    }
-
+from tacshade_edge.wire.sensor_topics import ContactEvent
 
 CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
 
@@ -215,7 +119,7 @@ class ContactEvents(FrameObserver):
 
     def see(self, seen: FrameResult) -> None:
         frame, result = seen.frame, seen.reconstruction
-        lasts = self._unmeasured_lasts(frame.t_ns, result is not None and result.touched)
+        lasts = self._unmeasured_lasts(frame.t_ns, touched=result is not None and result.touched)
         if result is None or result.contact or lasts:
             self._touched_ns = frame.t_ns
             new = self._start_ns is None
@@ -231,7 +135,7 @@ class ContactEvents(FrameObserver):
             self._send("end", frame, end_ns=self._touched_ns)
             self._start_ns = None
 
-    def _unmeasured_lasts(self, t_ns: int, touched: bool) -> bool:
+    def _unmeasured_lasts(self, t_ns: int, *, touched: bool) -> bool:
         """Whether a touch of unknown depth counts as contact in this frame."""
         if not touched:
             self._unmeasured_ns = None
@@ -355,37 +259,3 @@ class Preview(FrameObserver):
             ".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA)
         )
         self._link.offer("preview", jpeg.tobytes(), frame.seq)
-
-
-STATUS = "status/home_assistant"
-ANNOUNCED, WITHDRAWN = "announced", "withdrawn"
-
-
-class HomeAssistant:
-    """Announces the sensor in Home Assistant if the settings want it, and withdraws it once they no
-    longer do: retained announcements outlive the daemon, and so does the status that reports them.
-    """
-
-    def __init__(self, link: MqttLink, sensor_id: str, *, wanted: bool) -> None:
-        self._link, self._sensor_id, self._wanted = link, sensor_id, wanted
-        self._announced: tuple[str, ...] | None = None
-        if not wanted:
-            link.watch(STATUS, self._withdraw)
-
-    def announce(self, profiles: Sequence[str]) -> None:
-        """Announce the sensor if the settings want it and the profiles are new."""
-        if not self._wanted or self._announced == tuple(profiles):
-            return
-        self._announced = tuple(profiles)
-        for topic, payload in encode_discovery(
-            self._sensor_id, version=installed_version(), profiles=profiles
-        ).items():
-            self._link.set_retained(f"/{topic}", payload)
-        self._link.set_retained(STATUS, encode_status(ANNOUNCED))
-
-    def _withdraw(self, status: bytes) -> None:
-        """Withdraw what an earlier run announced, according to its status. Raises DecodeError."""
-        if decode_status(STATUS, status).state == ANNOUNCED:
-            for topic in discovery_topics(self._sensor_id):
-                self._link.set_retained(f"/{topic}", b"")
-            self._link.set_retained(STATUS, encode_status(WITHDRAWN))

@@ -25,7 +25,7 @@ from tacshade_edge.wire.binary import encode_map_cloud
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.requests import RECORD_NAME, RECORD_NAME_RULE
 from tacshade_edge.wire.results import PressAdded, SessionEnded, SessionStatus
-from tacshade_edge.wire.topics import StitchedMap
+from tacshade_edge.wire.sensor_topics import StitchedMap
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,8 @@ HOST: Final = r"^(?!.{254})(?:[^\s\x00-\x1f\x7f:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-F
 brackets or a port.
 """
 _PORT: Final = "1883"
+_PORT_DIGITS_MAX: Final = 5  # `int` of thousands of digits raises
+_PORTS: Final = 65536
 
 
 def host_and_port(broker: str) -> tuple[str, int]:
@@ -28,7 +30,8 @@ def host_and_port(broker: str) -> tuple[str, int]:
         host = host[1:-1]
     elif ":" in host:
         host = ""
-    sound = port.isascii() and port.isdecimal() and len(port) <= 5 and 0 < int(port) < 65536
+    sound = port.isascii() and port.isdecimal() and len(port) <= _PORT_DIGITS_MAX
+    sound = sound and 0 < int(port) < _PORTS
     try:
         sound = sound and bool(re.match(HOST, host) and host.encode("idna"))
     except UnicodeError:

@@ -17,7 +17,7 @@ from tacshade_edge.errors import DecodeError
 from tacshade_edge.reasons import Reason, code_of
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F64, Reconstruction, TouchedObject
-from tacshade_edge.wire.topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Triple
+from tacshade_edge.wire.hand_topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Triple
 
 _DIGITS: Final = 4  # 0.1 µm
 

@@ -10,7 +10,7 @@ from typing import Any
 from tacshade_edge.reasons import Reason, code_of, reason_fields
 from tacshade_edge.types import QUANTITIES, Calibration, Reconstruction, Touch, TouchedObject
 from tacshade_edge.wire.codec import encode_json
-from tacshade_edge.wire.topics import (
+from tacshade_edge.wire.sensor_topics import (
     Contact,
     Info,
     InfoGeometry,

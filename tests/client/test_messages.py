@@ -15,7 +15,8 @@ import tacshade_client as tc
 from hypothesis import given
 from hypothesis import strategies as st
 from support.published_sensor import CRC, bump, calibration, dragged, health
-from tacshade_client.wire.topics import OF_SENSORS, SlipEvent, _json
+from tacshade_client.wire.sensor_topics import SlipEvent
+from tacshade_client.wire.topics import OF_SENSORS, _json
 
 import tacshade_edge.sensor.geometry.disc as core
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -23,7 +24,7 @@ from tacshade_edge.sensor.geometry.disc import Grid, disc_rays
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.hand_messages import away, encode_hand
-from tacshade_edge.wire.topics import HandObjects
+from tacshade_edge.wire.hand_topics import HandObjects
 
 ROOT = Path(__file__).parents[2]
 VECTORS = {

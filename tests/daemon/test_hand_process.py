@@ -15,7 +15,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import shift
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, TouchedObject
-from tacshade_edge.wire.topics import Finger
+from tacshade_edge.wire.hand_topics import Finger
 
 
 @pytest.fixture

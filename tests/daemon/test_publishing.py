@@ -19,17 +19,9 @@ from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.reference_in_use import References
 from tacshade_edge.mqtt.client import broker_at
+from tacshade_edge.mqtt.home_assistant import STATUS, HomeAssistant, discovery_topics
 from tacshade_edge.mqtt.link import MqttLink
-from tacshade_edge.mqtt.publishing import (
-    STATUS,
-    WIDTH_PX,
-    ContactEvents,
-    HealthReport,
-    HomeAssistant,
-    Preview,
-    Publisher,
-    discovery_topics,
-)
+from tacshade_edge.mqtt.publishing import WIDTH_PX, ContactEvents, HealthReport, Preview, Publisher
 from tacshade_edge.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.robot.robot import Robot
@@ -39,7 +31,8 @@ from tacshade_edge.stitching.session_worker import Sessions
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary
 from tacshade_edge.wire.codec import encode_json
-from tacshade_edge.wire.topics import ContactEvent, decode_contact_event
+from tacshade_edge.wire.sensor_topics import ContactEvent
+from tacshade_edge.wire.topics import decode_contact_event
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tools.testbed.painted_sensor import touched_depth_mm
 from tools.testbed.patience import wait_until

@@ -29,7 +29,8 @@ from tacshade_edge.doctor.machine import Process
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.settings import load_all
 from tacshade_edge.wire import binary
-from tacshade_edge.wire.topics import HandObjects, decode_hand
+from tacshade_edge.wire.hand_topics import HandObjects
+from tacshade_edge.wire.topics import decode_hand
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until

@@ -21,7 +21,7 @@ from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
 from tacshade_edge.wire.hand_messages import away, encode_hand
-from tacshade_edge.wire.topics import Finger, HandObject, HandObjects
+from tacshade_edge.wire.hand_topics import Finger, HandObject, HandObjects
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.patience import wait_until
 

@@ -22,14 +22,8 @@ from tacshade_edge.hand.fingers import (
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.hand_messages import away, encode_hand
-from tacshade_edge.wire.topics import (
-    OBJECTS_MAX,
-    Finger,
-    HandObject,
-    HandObjects,
-    Motion,
-    decode_hand,
-)
+from tacshade_edge.wire.hand_topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Motion
+from tacshade_edge.wire.topics import decode_hand
 
 NOW_NS = 10**12
 

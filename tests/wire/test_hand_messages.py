@@ -22,7 +22,8 @@ from tacshade_edge.wire.hand_messages import (
     encode_hand,
     finger_of,
 )
-from tacshade_edge.wire.topics import OBJECTS_MAX, HandObjects, Motion, Unobservable, decode_hand
+from tacshade_edge.wire.hand_topics import OBJECTS_MAX, HandObjects, Motion, Unobservable
+from tacshade_edge.wire.topics import decode_hand
 
 VECTORS = json.loads((Path(__file__).parent / "vectors" / "hand.json").read_text())
 SOUND = [v for v in VECTORS if "expect" in v]

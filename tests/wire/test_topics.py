@@ -1,12 +1,9 @@
-"""What is reported in JSON and announced to Home Assistant, and where a broker is,
-as people write it.
-"""
+"""What is reported in JSON."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from support.networks import fitted_with
-from support.published_sensor import bump, calibration, health, unmeasured
+from support.published_sensor import calibration, health
 
-from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.mqtt.publishing import discovery_topics, encode_discovery
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import (
     Calibration,
     Disc,
@@ -31,7 +26,6 @@ from tacshade_edge.types import (
     TouchedObject,
 )
 from tacshade_edge.wire import binary, codec, messages, topics
-from tacshade_edge.wire.broker_address import host_and_port
 
 INFO: dict[str, Any] = json.loads(
     messages.encode_info(version="0", config_digest="0", profile="fast", calibration=calibration())
@@ -171,7 +165,11 @@ def test_info_places_a_pixel_in_mm() -> None:
         "profiles": ["fast", "paper"],
         "choice": "fast",
     }
-    geometry = info["geometry"]
+    shows_no_camera_distance(info["geometry"])
+
+
+def shows_no_camera_distance(geometry: dict[str, Any]) -> None:
+    """The geometry of `test_info_places_a_pixel_in_mm`, which has 1 mm in 20 px."""
     assert geometry["camera_distance_mm"] is None
     assert geometry["mm_per_px"] == pytest.approx(0.05)
     assert (geometry["row_c"], geometry["col_c"], geometry["radius_px"]) == (239.5, 319.5, 200.0)
@@ -296,105 +294,6 @@ def test_a_health_that_no_daemon_reports_is_refused(changed: dict[str, Any]) -> 
         topics.decode_health(json.dumps({**json.loads(health()), **changed}).encode())
 
 
-ANNOUNCED = encode_discovery("left-index", version="0.1.0", profiles=tuple(PROFILES))
-COMMON = {"name", "unique_id", "device", "origin", "availability"}
-KINDS: dict[
-    str, tuple[set[str], set[str]]
-] = {  # keys that a component needs, and may have: others it leaves out
-    "sensor": (
-        {"state_topic"},
-        {
-            "value_template",
-            "unit_of_measurement",
-            "device_class",
-            "state_class",
-            "suggested_display_precision",
-        },
-    ),
-    "binary_sensor": ({"state_topic", "value_template"}, set()),
-    "event": ({"state_topic", "event_types"}, {"value_template", "qos"}),
-    "select": (
-        {"command_topic", "command_template", "state_topic", "value_template", "options", "qos"},
-        set(),
-    ),
-    "button": ({"command_topic", "payload_press", "qos"}, set()),
-}
-
-
-@pytest.mark.parametrize("topic", discovery_topics("left-index"))
-def test_it_is_as_the_documentation_says(topic: str) -> None:
-    root, component, node, name, end = topic.split("/")
-    assert (root, node, end) == ("homeassistant", "left-index", "config")
-    entity = json.loads(ANNOUNCED[topic])
-    needed, may = KINDS[component]
-    assert COMMON | needed <= set(entity) <= COMMON | needed | may | {"entity_category"}
-    assert entity["unique_id"] == f"tacshade_left-index_{name}"
-    assert entity.get("entity_category", "config") in ("config", "diagnostic")
-    offered = [profile for profile in PROFILES if profile != "paper"]
-    assert entity.get("options", offered) == offered
-    assert set(entity["device"]) == {"identifiers", "name", "model", "sw_version"}
-    assert set(entity["origin"]) == {"name", "sw_version"}
-    (availability,) = entity["availability"]
-    assert (set(availability), availability["topic"]) == (
-        {"topic", "value_template"},
-        "tacshade/left-index/state",
-    )
-    topics = [value for key, value in entity.items() if key.endswith("_topic")]
-    assert all(re.fullmatch(r"tacshade/left-index/[a-z_/]+", one) for one in topics)
-
-
-def test_what_is_announced_is_what_would_be_taken_back() -> None:
-    assert tuple(ANNOUNCED) == discovery_topics("left-index")
-    assert len({json.loads(payload)["unique_id"] for payload in ANNOUNCED.values()}) == len(
-        ANNOUNCED
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("board", ("board", 1883)),
-        ("board:99", ("board", 99)),
-        ("[::1]:99", ("::1", 99)),
-        ("127.0.0.1:65535", ("127.0.0.1", 65535)),
-    ],
-)
-def test_a_broker_is_a_host_and_a_port(text: str, found: tuple[str, int]) -> None:
-    assert host_and_port(text) == found
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        ":",
-        ":1883",
-        "host:",
-        "host:0",
-        "host:65536",
-        "host:٣",
-        "host:" + "1" * 5000,
-        "h" * 64,
-        "a." * 127,
-        "mqtt://h",
-        "mqtt://h:1883",
-        "::1",
-        "[::1",
-        "h,i",
-        "a@h:1883",
-        "[h:1]:1883",
-        "h\n",
-        "h\0",
-    ],
-)
-def test_what_is_none_is_refused_in_one_line(text: str) -> None:
-    with pytest.raises(
-        ConfigError, match=r"\Abroker: found '[^\n]*', expected HOST or HOST:PORT, such as"
-    ) as caught:
-        host_and_port(text)
-    assert len(str(caught.value)) < 150
-
-
 def test_a_payload_of_another_kind_is_refused() -> None:
     cloud = binary.encode_map_cloud(
         np.zeros((0, 3), np.float32), revision=1, calibration_crc32=0, t_ns=0, wall_ns=0
@@ -404,28 +303,3 @@ def test_a_payload_of_another_kind_is_refused() -> None:
     assert topics.decode_preview("preview", b"\xff\xd8\xff") == b"\xff\xd8\xff"
     with pytest.raises(DecodeError, match="expected a JPEG image"):
         topics.decode_preview("preview", b"GIF")
-
-
-@pytest.mark.parametrize(
-    ("result", "contact", "depth"),
-    [
-        (bump(1, 1.26, 236, 328, 8), "ON", "1.3"),
-        (bump(1, 0.0, 0, 0, 8), "OFF", "0.0"),
-        (unmeasured(1), "ON", "None"),  # which Home Assistant takes for unknown
-    ],
-    ids=["contact", "no contact", "touched"],
-)
-def test_home_assistant_shows_each_of_the_three_answers(
-    result: Reconstruction, contact: str, depth: str
-) -> None:
-    jinja2 = pytest.importorskip("jinja2")
-    value = json.loads(messages.encode_contact(result, fps=1.0))
-    shown = {
-        name: jinja2.Template(json.loads(ANNOUNCED[topic])["value_template"]).render(
-            value_json=value
-        )
-        for topic in ANNOUNCED
-        for name in ("contact", "depth")
-        if f"/{name}/config" in topic
-    }
-    assert shown == {"contact": contact, "depth": depth}

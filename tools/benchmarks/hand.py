@@ -42,7 +42,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.wire import binary
-from tacshade_edge.wire.topics import HandObjects, decode_contact, decode_hand
+from tacshade_edge.wire.hand_topics import HandObjects
+from tacshade_edge.wire.topics import decode_contact, decode_hand
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
 from tools.testbed.daemon_rig import cpu_s, pss_mb
 from tools.testbed.mqtt_rig import Broker

@@ -24,8 +24,8 @@ from tacshade_edge.recording.recording_content import events_in
 from tacshade_edge.types import Calibration, Reconstruction
 from tacshade_edge.version import installed_version
 from tacshade_edge.wire.hand_messages import encode_hand
+from tacshade_edge.wire.hand_topics import HandObjects
 from tacshade_edge.wire.messages import encode_touch
-from tacshade_edge.wire.topics import HandObjects
 
 
 @contextlib.contextmanager

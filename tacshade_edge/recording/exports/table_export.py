@@ -17,8 +17,8 @@ from tacshade_edge.files.meshes import ply
 from tacshade_edge.reasons import ReasonCode, code_of
 from tacshade_edge.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
+from tacshade_edge.wire.hand_topics import Finger, HandObjects, Motion
 from tacshade_edge.wire.messages import encode_contact, touch_fields
-from tacshade_edge.wire.topics import Finger, HandObjects, Motion
 
 Add = Callable[[RecordedFrame, Reconstruction], None]
 """Takes the next frame; an export is a context that gives one,

@@ -35,7 +35,7 @@ from tacshade_edge.recording.mcap.stored_frames import CAMERA, FRAME, OURS, POSE
 from tacshade_edge.types import F32, Frame, ObjectCloud
 from tacshade_edge.version import installed_version
 from tacshade_edge.wire.messages import TOUCH_SCHEMA
-from tacshade_edge.wire.topics import Contact
+from tacshade_edge.wire.sensor_topics import Contact
 
 # What damage costs, at most.
 CHUNK_BYTES: Final = 1 << 20

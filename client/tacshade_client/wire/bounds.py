@@ -1,0 +1,1 @@
+../../../tacshade_edge/wire/bounds.py

@@ -1,0 +1,1 @@
+../../../tacshade_edge/wire/health_topics.py

@@ -1,0 +1,1 @@
+../../../tacshade_edge/wire/sensor_topics.py
