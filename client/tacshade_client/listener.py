@@ -39,6 +39,7 @@ NEWEST_WINS: Final = frozenset(
 """For each of these topics only the newest message waits;
 for all others every message waits, in order.
 """
+# Memory stays bounded if the reader stops reading.
 WAITING_MAX: Final = 256
 """Most waiting messages; the next one replaces the oldest."""
 _FIRST_S: Final = 5.0
@@ -49,6 +50,7 @@ a name may be misspelt.
 """
 _STATES: Final = "tacshade/+/state"
 _STATES_S: Final = 1.0
+# Anyone who reaches the broker may publish a state, and the line is for a person.
 _THERE_MAX: Final = 64
 _NAME: Final = "a sensor such as left-index, hand/left of a hand, or + for all sensors"
 
@@ -129,9 +131,8 @@ class Listener(Iterator[Message]):
         self._crash: Exception | None = None
         self._next_line_s = 0.0
         self._ask_s: float | None = time.monotonic() + SILENT_S
-        self._there: dict[str, str] | None = (
-            None  # the state of each sensor, asked for after a long silence
-        )
+        # The state of each sensor, asked for after a long silence.
+        self._there: dict[str, str] | None = None
         events = SessionEvents(
             accepted=self._on_accepted,
             subscribed=self._on_subscribed,
@@ -139,6 +140,7 @@ class Listener(Iterator[Message]):
             unreachable=lambda _error, text: self._fail(text, ReasonCode.UNREACHABLE),
             lost=lambda code: self._fail(f"connection lost ({code})", ReasonCode.LOST),
             heard=self._on_message,
+            # A defect in our own thread must not look like a silent sensor: `get` raises it.
             crashed=self._on_crash,
         )
         self._session = BrokerSession(
@@ -148,6 +150,7 @@ class Listener(Iterator[Message]):
             incoming_bytes_max=FRAMES_BYTES_MAX,
         )
         self.follow(topics)
+        # Last: from here on paho's thread calls us.
         self._session.start()
         try:
             self._wait_for_subscription()
@@ -278,6 +281,7 @@ class Listener(Iterator[Message]):
         now_s = time.monotonic()
         with self._came:
             self.refused += 1
+        # Whoever reaches the broker could fill the disk with lines.
         if now_s >= self._next_line_s:
             self._next_line_s = now_s + _LOG_PERIOD_S
             _log.warning("%s: %s (%d messages rejected so far)", self._where, error, self.refused)

@@ -10,6 +10,8 @@ from typing import Final
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import quoted, shown
 
+# Linux's PATH_MAX without the final NUL, and NAME_MAX. A longer path is OSError in whatever opens
+# it; here it is an argument that can never work.
 _PATH_BYTES_MAX: Final = 4095
 _NAME_BYTES_MAX: Final = 255
 _TEXT_BYTES_MAX: Final = 65535
@@ -21,6 +23,7 @@ def path_of(name: str, value: object) -> Path:
     if isinstance(value, str | os.PathLike):
         encoded = b""
         with contextlib.suppress(UnicodeEncodeError):
+            # Lone surrogates that do not stand for a byte cannot be encoded.
             encoded = os.fsencode(value)
         names = encoded.split(b"/")
         if (
@@ -34,6 +37,7 @@ def path_of(name: str, value: object) -> Path:
 
 def text_of(name: str, value: object, expected: str) -> str:
     """Return an argument as text that MQTT can carry. Raises ConfigError."""
+    # MQTT's strings are UTF-8 of at most 65535 bytes, without NUL; paho raises for others late.
     if isinstance(value, str) and "\0" not in value:
         with contextlib.suppress(UnicodeEncodeError):
             if len(value.encode()) <= _TEXT_BYTES_MAX:

@@ -70,7 +70,8 @@ class FrameAssembler:
         self._latest: dict[str, bytes] = {}
         self._touch: TouchNumbers | None = None
         self._newest: _Whole | None = None
-        self._named: dict[int, ObjectEvent] = {}  # of this contact, by label
+        # Of this contact, by label.
+        self._named: dict[int, ObjectEvent] = {}
 
     @property
     def whole(self) -> bool:
@@ -100,16 +101,22 @@ class FrameAssembler:
     def _add(self, contact: Contact) -> None:
         """Complete a frame: ``contact`` is the last message that a daemon sends for it."""
         if not contact.contact and not contact.touched:
+            # Names are of one contact: the next object may be another, under the same label.
             self._named.clear()
+        # The binary header has 32 bits of the number, JSON has all.
         seq = contact.seq & 0xFFFFFFFF
+        # A stream may still be of an earlier frame: the daemon sends each only while somebody
+        # listens, and a newer frame replaces what waits.
         streams = {
             name: data
             for name, data in self._latest.items()
             if len(data) >= _SEQ.size and _SEQ.unpack_from(data)[0] == seq
         }
+        # Lost on the way; a result with a contact but without its heights would be wrong.
         if contact.contact and not {"height", "cloud"} <= streams.keys():
             self.passed_over += 1
             return
+        # The reader did not come in time: the newest frame replaces the waiting one.
         self.passed_over += self._newest is not None
         self._newest = _Whole(contact, streams, _touch_of(contact, self._touch))
 
@@ -133,14 +140,11 @@ class FrameAssembler:
         contact, geometry = whole.contact, known.geometry
         found = {name: OF_SENSORS[name].decode(name, data) for name, data in whole.streams.items()}
         height, cloud, shear, sigma = (found.get(name) for name in _STREAMS)
+        # A daemon that is calibrated anew publishes `info` again, while frames of the old
+        # calibration may still be on their way: their pixels are elsewhere now.
         if height is not None and height.calibration_crc32 != known.calibration_crc32:
             return None
-        for other in (shear, sigma):
-            if other is not None and (height is None or _grid(other) != _grid(height)):
-                raise DecodeError(
-                    "shear or sigma: found a grid other than the height map's, "
-                    "expected the same grid"
-                )
+        _check_grids(height, shear, sigma)
         shear_mm = None if shear is None else shear.shear_mm
         points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
         if cloud is not None:
@@ -155,6 +159,7 @@ class FrameAssembler:
         made = Reconstruction(
             seq=contact.seq,
             t_ns=contact.t_ns,
+            # Older daemons have no wall clock in `contact`.
             wall_ns=contact.wall_ns or (height.wall_ns if height else 0),
             profile=self.info.profile,
             valid=not contact.reason_code,
@@ -171,6 +176,7 @@ class FrameAssembler:
             touch=whole.touch,
             touched=bool(contact.touched),
         )
+        # A frame without a result must not end the tracks of its objects.
         if made.valid:
             made = follow(self._tracker, made)
         return result_of(made, geometry, height.pose if height else None, None)
@@ -194,10 +200,21 @@ def _touched(
             f"height: found more than a skin has, expected at most {geometry.height_max_mm:g} mm"
         )
     labels = labels_by_cell(cloud.points_mm, cloud.labels, grid, geometry)
+    # A point at the disc's edge may round into a cell outside.
     labels[np.isnan(height_mm)] = 0
     found = objects_of(labels, height_mm, shear_mm, disc_rays(grid, geometry), geometry)
     made = HeightMap(height_mm, labels > 0, message.row0, message.col0, message.step_px)
     return (made, (), 0.0) if found is None else (made, found.described, found.volume_mm3)
+
+
+def _check_grids(
+    height: HeightMessage | None, shear: ShearMessage | None, sigma: SigmaMessage | None
+) -> None:
+    for other in (shear, sigma):
+        if other is not None and (height is None or _grid(other) != _grid(height)):
+            raise DecodeError(
+                "shear or sigma: found a grid other than the height map's, expected the same grid"
+            )
 
 
 def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
@@ -212,6 +229,7 @@ def _grid(message: HeightMessage | ShearMessage | SigmaMessage) -> Grid:
 
 def _untouched(last: HeightMap) -> HeightMap:
     """A height map of 0 on the grid of the last map received; empty before the first."""
+    # Without contact the daemon sends no height, but the disc stays where it was.
     zero_mm = np.where(np.isnan(last.height_mm), np.float32(np.nan), np.float32(0))
     return HeightMap(zero_mm, np.zeros(zero_mm.shape, np.bool_), last.row0, last.col0, last.step_px)
 
@@ -232,5 +250,6 @@ def _reason(code: str, text: str = "") -> Reason | None:
     """The reason for a code, None if empty; the code serves as the text if none is published."""
     if not code:
         return None
+    # A newer daemon may have codes that we do not know.
     known = next((reason for reason in ReasonCode if reason.value == code), None)
     return Reason(known or ReasonCode.DECODE, text or code)

@@ -8,6 +8,7 @@ import logging
 import os
 import time
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Final
 
 from tacshade_edge.calibration import loading
@@ -51,6 +52,11 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         By default, the calibration and profile that the settings name;
         for a device, the service's calibration.
 
+    Returns
+    -------
+    Results
+        An iterator without an end; the camera is open until it is closed.
+
     Raises
     ------
     ConfigError
@@ -62,17 +68,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
     path = path_of("source", source)
     _check_sensor(sensor)
     if path.suffix.lower() in (".yaml", ".yml"):
-        document = load_settings(path)
-        sources.check_source(document)
-        settings = document.settings
-        if sensor is None:
-            if settings.profile == AUTO:
-                where = document.where("profile")
-                raise ConfigError(
-                    f"{where}: found {AUTO}, expected another profile, "
-                    f"because only the daemon supports {AUTO}; alternatively, pass a sensor"
-                )
-            sensor = Sensor(loading.load_calibration(document), settings.profile)
+        settings, sensor = _of_settings(path, sensor)
+    # Not only /dev/video0: the names below /dev/v4l/by-id stay when devices are plugged in anew.
     elif path.is_relative_to("/dev"):
         sensor = sensor or load(Settings().calibration)
         settings = Settings(source=V4l2(device=str(path)))
@@ -83,6 +80,24 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         )
     rows, cols = sensor.image_size_px
     return _Live(sources.make_source(settings.source, (cols, rows)), sensor, settings.source.fps)
+
+
+def _of_settings(path: Path, sensor: Sensor | None) -> tuple[Settings, Sensor]:
+    """Load a settings file, and the sensor that it names if none is given. Raises ConfigError."""
+    document = load_settings(path)
+    # Before the calibration is loaded, which takes longer.
+    sources.check_source(document)
+    settings = document.settings
+    # Without a sensor the settings choose the profile, and `auto` is no profile.
+    if sensor is None:
+        if settings.profile == AUTO:
+            where = document.where("profile")
+            raise ConfigError(
+                f"{where}: found {AUTO}, expected another profile, "
+                f"because only the daemon supports {AUTO}; alternatively, pass a sensor"
+            )
+        sensor = Sensor(loading.load_calibration(document), settings.profile)
+    return settings, sensor
 
 
 def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Results:
@@ -97,6 +112,11 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
         a video (docs/how-to/replay.md).
     sensor : Sensor, optional
         By default, the sensor with the recording's own calibration and the profile ``balanced``.
+
+    Returns
+    -------
+    Results
+        An iterator that ends with the recording; `seq` and times are the recorded ones.
 
     Raises
     ------
@@ -113,6 +133,7 @@ def read(recording: str | os.PathLike[str], sensor: Sensor | None = None) -> Res
         if line:
             _log.warning("%s", line)
     if sensor is None:
+        # Its own calibration, not the service's: the sensor may have been calibrated since.
         if (own := loading.of_recording(path)) is None:
             raise ConfigError(
                 f"{path}: the recording contains no {CALIBRATION_NAME}; pass a sensor: "
@@ -130,6 +151,7 @@ def _check_sensor(sensor: object) -> None:
 class _Live(Results):
     def __init__(self, source: FrameSource, sensor: Sensor, fps: float) -> None:
         self._source, self._sensor, self._tracker = source, sensor, ContactTracker()
+        # From the settings and not from the camera, which need not deliver what was asked of it.
         self._stale_ns = _STALE_PERIODS * 1e9 / fps
         self._skipped = 0
         self._opened = False
@@ -145,6 +167,7 @@ class _Live(Results):
                 self._open()
             frame = self._newest()
         except DeviceError:
+            # So that the next call opens the camera anew.
             self._source.close()
             self._opened = False
             raise
@@ -158,6 +181,7 @@ class _Live(Results):
         self._opened = True
 
     def _newest(self) -> Frame | None:
+        # A driver hands out its oldest buffer first, so read until a frame is fresh.
         waiting = 0
         while True:
             try:
@@ -226,6 +250,7 @@ def read_hand(
         A path is not a finger's recording, two recordings are of one sensor,
         or they are of several hands.
     """
+    # A path is iterable too: letter by letter.
     if isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable):
         raise wrong("recordings", recordings, "a list of paths")
     paths = [path_of("recordings", path) for path in recordings]

@@ -120,7 +120,8 @@ class Result:
     touched: bool = False
 
     def __post_init__(self) -> None:
-        if self.untrusted is not None:  # the other arrays are read-only already
+        # The other arrays are read-only already.
+        if self.untrusted is not None:
             freeze(self, "untrusted")
 
     @property
@@ -142,14 +143,20 @@ class Result:
     def _repr_html_(self) -> str:
         """The line and, if there is one, the height map: what a notebook shows."""
         line = html.escape(repr(self))
+        # A listener has no map before the first contact.
         if not self.height_mm.size:
             return line
+        # In the page itself: a notebook is one file.
         data = base64.b64encode(height_png(self.height_mm)).decode()
         return f'{line}<br><img alt="h in mm, with its scale" src="data:image/png;base64,{data}">'
 
     def skin_mm(self) -> F32:
-        """Each cell's skin point: x, y, z in mm in the sensor frame, float32 (rows, cols, 3);
-        NaN outside the disc.
+        """Place each cell's skin point in the sensor frame.
+
+        Returns
+        -------
+        float32 (rows, cols, 3)
+            x, y, z in mm; NaN outside the visible disc.
         """
         rows, cols = self.height_mm.shape
         grid = Grid(rows, cols, self.row0, self.col0, self.step_px)
@@ -201,6 +208,14 @@ class Results(ABC, Iterator[Result]):
 
     After an exception, the next call of ``next`` continues.
     Close the iterator with ``with`` or `close`, or exhaust it.
+
+    Attributes
+    ----------
+    passed_over : int
+        Number of frames without a result: a newer one replaced them, or they were lost or damaged
+        in transit.
+    refused : int
+        Number of messages that no daemon publishes, from `listen`; the log shows the first.
     """
 
     @property
@@ -215,11 +230,21 @@ class Results(ABC, Iterator[Result]):
         """Number of messages that no daemon publishes, from `listen`; the log shows the first."""
         return 0
 
+    # Of the class: `close` must work even if a subclass's constructor has failed.
     _closed = False
 
     def __next__(self) -> Result:
-        """Return the next result. Raises DeviceError, ConfigError."""
+        """Return the next result.
+
+        Raises
+        ------
+        DeviceError
+            The camera or the broker was lost, or nothing came; the next call tries again.
+        ConfigError
+            Another thread is using the sensor.
+        """
         if self._closed or (result := self._next()) is None:
+            # At the end too, so that a camera is free as soon as its last frame is read.
             self.close()
             raise StopIteration
         return result

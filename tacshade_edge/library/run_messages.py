@@ -40,7 +40,9 @@ def decode(payload: bytes | bytearray | memoryview) -> Message | HandObjects:
     """
     if not isinstance(payload, bytes | bytearray | memoryview):
         raise wrong("payload", payload, "bytes")
+    # A memoryview has no `startswith`; the decoders need bytes anyway.
     data = bytes(payload)
+    # Binary payloads begin with their magic, so a brace can only be JSON.
     return decode_hand(data) if data.startswith(b"{") else binary.decode(data)
 
 

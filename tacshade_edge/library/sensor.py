@@ -38,11 +38,17 @@ def load(
         What separates the contact from the other skin: ``network``, or ``kmeans`` for two means of
         the heights as in section V-A of the paper, which ``paper`` always uses.
 
+    Returns
+    -------
+    Sensor
+        Takes images of the size that the calibration was made with.
+
     Raises
     ------
     ConfigError
         The calibration cannot be used, or there is no such profile or outline.
     """
+    # Not stored: a daemon may be using this file, which belongs to its service.
     known = loading.load(path_of("calibration", calibration), store=False)
     return Sensor(known, profile, outline)
 
@@ -53,6 +59,7 @@ class Sensor:
     Attributes
     ----------
     profile : str
+        ``fast``, ``balanced``, ``accurate`` or ``paper``.
     geometry : Geometry
         Skin, camera and visible circle.
     image_size_px : (int, int)
@@ -67,9 +74,9 @@ class Sensor:
         if outline not in get_args(Outline):
             raise wrong("outline", outline, f"one of {', '.join(get_args(Outline))}")
         self._reconstructor = make_reconstructor(calibration, profile_with(profile, outline))
-        self._in_use = (
-            threading.Lock()
-        )  # never waited for: the reconstructor's scratch buffers hold one frame
+        # Never waited for: the reconstructor's scratch buffers hold one frame, and a thread that
+        # waits here would hide that it needs a sensor of its own.
+        self._in_use = threading.Lock()
         self.profile = profile
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
@@ -89,7 +96,13 @@ class Sensor:
         Parameters
         ----------
         image : path, or uint8 (rows, cols) grey or (rows, cols, 3) BGR
-            The camera's image, unprocessed; never modified.
+            The camera's image, unprocessed; never modified. Its size is `image_size_px`; another
+            size gives a result that is not `valid`.
+
+        Returns
+        -------
+        Result
+            Its arrays are its own, read-only; lengths in mm. `seq`, `t_ns` and `wall_ns` are 0.
 
         Raises
         ------
@@ -99,6 +112,7 @@ class Sensor:
             The argument is none of these, or another thread is using the sensor.
         """
         if isinstance(image, np.ndarray):
+            # Not only `ndim`: two or four channels have no order that we could know.
             match image.shape:
                 case (_, _) | (_, _, 3):
                     shaped = True
@@ -106,6 +120,7 @@ class Sensor:
                     shaped = False
             if image.dtype != np.uint8 or not shaped or image.size == 0:
                 raise ConfigError(f"image: found {image.dtype} {image.shape}, expected {_EXPECTED}")
+            # A view such as image[::2] has gaps, and the steps that follow read rows without any.
             pixels: U8 = np.ascontiguousarray(image)
         elif isinstance(image, str | os.PathLike):
             pixels = read_image(path_of("image", image))
@@ -128,6 +143,7 @@ class Sensor:
         finally:
             self._in_use.release()
         assert made is not None
+        # Always an array here: None is of results from a broker, which does not send it.
         untrusted = (
             np.zeros(made.height.contact.shape, np.bool_)
             if made.untrusted is None

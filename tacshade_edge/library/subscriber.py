@@ -35,11 +35,15 @@ from tacshade_edge.wire.broker_address import BROKER, host_and_port
 _SILENT_S: Final = 5.0
 """A daemon with a camera publishes ten messages a second even while nothing touches."""
 _STATES_S: Final = 1.0
+# Anyone who reaches the broker may publish a state, and the error is one line.
 _THERE_MAX: Final = 64
+# Nobody answers the broker between two calls of `next`: a program may compute for a minute and a
+# half before the broker ends the connection.
 _KEEPALIVE_S: Final = 60
 _POLL_S: Final = 0.1
 _REASON_CHARS_MAX: Final = 500
 _ID_CHARS_MAX: Final = 255
+# U+FFFD stands for what was not UTF-8, which no sensor is named.
 _STATE: Final = re.compile(r"tacshade/([^/\ufffd]+)/state")
 _SENSOR_ID: Final = "the sensor_id of a daemon's settings, such as left-index"
 
@@ -70,6 +74,12 @@ def listen(
         Certificate of the authority that signed the broker's certificate;
         if given, the connection uses TLS.
 
+    Returns
+    -------
+    Results
+        An iterator without an end, already subscribed. It makes no thread: messages are received
+        while ``next`` runs.
+
     Raises
     ------
     ConfigError
@@ -78,21 +88,31 @@ def listen(
         No broker answers, or the broker rejects the client. Later, from ``next``: no result arrived
         for 5 s, or the connection was lost; the next call connects again.
     """
-    host, port = host_and_port(text_of("broker", broker, BROKER))
+    # A wildcard would mix the frames of several sensors into one stream.
     if not 0 < len(text_of("sensor_id", sensor_id, _SENSOR_ID)) <= _ID_CHARS_MAX or set(
         sensor_id
     ) & set("/+#"):
         raise wrong("sensor_id", sensor_id, _SENSOR_ID)
+    address = _address(broker, username, password, ca_file)
+    return _Heard(address, sensor_id)
+
+
+def _address(
+    broker: str,
+    username: str | None,
+    password: str | None,
+    ca_file: str | os.PathLike[str] | None,
+) -> BrokerAddress:
+    host, port = host_and_port(text_of("broker", broker, BROKER))
     if password is not None and username is None:
         raise ConfigError("password: found a password without a username, expected both")
-    address = broker_at(
+    return broker_at(
         host,
         port,
         username=None if username is None else text_of("username", username, "text"),
         password=None if password is None else text_of("password", password, "text"),
         tls_ca=None if ca_file is None else str(path_of("ca_file", ca_file)),
     )
-    return _Heard(address, sensor_id)
 
 
 class _Heard(Results):
@@ -101,7 +121,8 @@ class _Heard(Results):
         self._failure = ""
         self._connected = False
         self._frames = FrameAssembler()
-        self._there: set[str] = set()  # the sensors with a state, asked for after a silence
+        # The sensors with a state, asked for after a silence.
+        self._there: set[str] = set()
         events = SessionEvents(
             rejected=self._on_rejected, subscribed=self._on_subscribed, heard=self._on_message
         )
@@ -129,6 +150,7 @@ class _Heard(Results):
             self._connect()
         end_s = time.monotonic() + _SILENT_S
         while time.monotonic() < end_s:
+            # Without a wait once a frame is whole: only what has already arrived may replace it.
             if not self._step(0.0 if self._frames.whole else _POLL_S):
                 raise self._lost(self._failure or "connection lost", ReasonCode.LOST)
             # The newest frame wins: first read everything that has arrived.
@@ -142,12 +164,14 @@ class _Heard(Results):
 
     def _connect(self) -> None:
         self._failure = ""
+        # Half of a frame from the last connection must not be completed by this one.
         self._frames.forget()
         try:
             self._client.open()
         except OSError as error:
             raise self._lost(f"{error.strerror or error}", ReasonCode.UNREACHABLE) from None
         end_s = time.monotonic() + _SILENT_S
+        # Connected is subscribed: before that, silence would mean nothing.
         while not (self._connected or self._failure) and time.monotonic() < end_s:
             if not self._step(_POLL_S):
                 break
@@ -163,14 +187,17 @@ class _Heard(Results):
         sock: Any = self._client.socket()
         if sock is None:
             return False
-        pending = getattr(sock, "pending", None)  # bytes that TLS has already decrypted
+        # Bytes that TLS has already decrypted: `select` sees only the socket, which has none left.
+        pending = getattr(sock, "pending", None)
         return bool(pending and pending()) or bool(select.select([sock], [], [], 0)[0])
 
     def _release(self) -> None:
         self._connected = False
         with contextlib.suppress(OSError):
             self._client.disconnect()
-        while self._step(0.0):  # sends DISCONNECT and closes the socket
+        # Sends DISCONNECT and closes the socket: without it the broker would wait for our
+        # keepalive.
+        while self._step(0.0):
             pass
 
     def _lost(self, found: str, code: ReasonCode) -> DeviceError:
@@ -188,6 +215,7 @@ class _Heard(Results):
         )
         known = f"the sensor's state is {state}"
         if not self._frames.state:
+            # Retained values come at once, so a second is enough to name who is there.
             self._client.subscribe("tacshade/+/state", 0)
             end_s = time.monotonic() + _STATES_S
             while time.monotonic() < end_s and self._step(_POLL_S):

@@ -64,8 +64,10 @@ class MqttCaller(Follower):
 
         Raises DeviceError (the daemon or the broker rejected it, or the daemon did not answer).
         """
+        # Before the request is sent: the reply may come before `publish` returns.
         self._asked, self._denied, self._reply = secrets.token_hex(8), None, None
         payload = json.dumps({**body, "transaction": self._asked}).encode()
+        # QoS 1: the broker's answer shows whether its access rules deny the request.
         self._session.publish(f"{self._base}/req/{self._verb}", payload, qos=1)
         answered = self.wait_for(
             lambda: self._reply is not None or self._denied is not None, timeout_s
@@ -112,6 +114,7 @@ class MqttCaller(Follower):
     def _on_subscribed(self, codes: list[MqttCode]) -> None:
         super()._on_subscribed(codes)
         with self._changed:
+            # Only now: without the subscription, the reply to a request would be lost.
             self._ready = self._failure is None
             self._changed.notify_all()
 

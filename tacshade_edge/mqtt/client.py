@@ -30,10 +30,13 @@ _log = logging.getLogger(__name__)
 
 FRAMES_BYTES_MAX: Final = 1 << 26
 """Bytes, more than any camera's `height` or `cloud`."""
+# A request's body has at most 4096 bytes; the rest is room for its topic and properties.
 _REQUESTS_BYTES_MAX: Final = 65536
 _REASON_CODES: Final = 256  # of one byte
+# A broker publishes our last will after one and a half of these without a packet from us.
 _KEEPALIVE_S: Final = 10
 _RECONNECT_DELAY_S: Final = 1
+# paho would wait 5 s for a machine that is switched off, and `stop` for paho.
 _CONNECT_TIMEOUT_S: Final = 3.0
 # Linux; elsewhere the last two may not exist. Unsent bytes in the kernel are stale frames, so only
 # a few are allowed. We give up a peer that accepts nothing for 4 s, before TCP retries less often
@@ -156,6 +159,7 @@ class BrokerSession(Client):
 
     def start(self) -> None:
         """Start the network thread, which connects and reconnects until `stop`."""
+        # A clean start: no broker may keep requests or frames for us while we are away.
         host, port = self.__broker["host"], self.__broker["port"]
         self.connect_async(
             host, port, self.__keepalive_s, clean_start=True, properties=self.__limits()
@@ -172,7 +176,10 @@ class BrokerSession(Client):
         # Not `Client.loop`: that makes a pair of sockets, which nothing closes.
         if (sock := self.socket()) is None:
             return False
+        # Only a write that paho has asked for: a socket is nearly always writable, and we would
+        # spin.
         select.select([sock], [sock] if self.want_write() else [], [], timeout_s)
+        # `loop_misc` sends the pings; without it the broker ends the connection.
         for once in (self.loop_read, self.loop_write, self.loop_misc):
             if once() != MQTTErrorCode.MQTT_ERR_SUCCESS:
                 return False
@@ -190,6 +197,7 @@ class BrokerSession(Client):
         callable from any thread.
         """
         with self.__lock:
+            # Under the lock, because paho's thread subscribes to all topics when it connects.
             new = {topic: how for topic, how in topics.items() if topic not in self.__topics}
             old = self.__topics.keys() - topics.keys()
             self.__topics = dict(topics)
@@ -222,6 +230,7 @@ class BrokerSession(Client):
     def __on_pre_connect(self, _client: Client, _userdata: Any) -> None:
         with self.__lock:
             self.__accepted = False  # paho may lose a connection without a word
+        # Outside of the lock: it may take as long as another daemon uses our name.
         self.__events.before_connect()
 
     def __on_connect(

@@ -28,8 +28,11 @@ from tacshade_edge.wire.codec import decode_object
 from tacshade_edge.wire.messages import encode_status
 
 _ANSWER_S: Final = 2.0
-_UNKNOWN_S: Final = 0.3  # a broker without retained values of this name sends nothing
-_LIFE_S: Final = 3.0  # three times the period of `health`
+# A broker without retained values of this name sends nothing, so silence is the answer.
+_UNKNOWN_S: Final = 0.3
+# Three times the period of `health`.
+_LIFE_S: Final = 3.0
+# Time for a restarted holder or broker to restore the name before another takes it.
 _GONE_S: Final = (
     10.0  # time for a restarted holder or broker to restore the name before another takes it
 )
@@ -87,6 +90,7 @@ class ClientIdGuard:
         connection, or it was lost; call again).
         """
         self._forget()
+        # If we die while we wait, the broker clears our report of a rival.
         self._session.will_set(self._rival, b"", qos=1, retain=True)
         try:
             self._session.open()
@@ -100,6 +104,7 @@ class ClientIdGuard:
                 pass
             if not self._asked:
                 return
+            # From the answer on: before it, silence says nothing.
             self._seen_s = time.monotonic()
             while not stopped() and not self._is_free(report):
                 if not self._session.step(_POLL_S):
@@ -110,6 +115,7 @@ class ClientIdGuard:
                 self._session.publish(self._rival, b"", retain=True)
             self._session.disconnect()
             if (sock := self._session.socket()) is not None:
+                # Without it a peer that stalls would keep us in the loop below.
                 with contextlib.suppress(OSError):
                     sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
             while self._session.step(_POLL_S):  # reads to the end of the stream, and closes
@@ -124,6 +130,7 @@ class ClientIdGuard:
             )
         if self._holder.get("id") == self._instance["id"]:
             return True
+        # Only a living daemon sends more than the broker has retained, at least its `health`.
         if not self._living:  # retained values of a daemon that died unnoticed
             return quiet_s >= _LIFE_S
         self._waited = True

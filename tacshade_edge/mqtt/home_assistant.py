@@ -127,6 +127,7 @@ class HomeAssistant:
         """Announce the sensor if the settings want it and the profiles are new."""
         if not self._wanted or self._announced == tuple(profiles):
             return
+        # The announcement lists the profiles, so other profiles are another announcement.
         self._announced = tuple(profiles)
         for topic, payload in encode_discovery(
             self._sensor_id, version=installed_version(), profiles=profiles
@@ -138,5 +139,6 @@ class HomeAssistant:
         """Withdraw what an earlier run announced, according to its status. Raises DecodeError."""
         if decode_status(STATUS, status).state == ANNOUNCED:
             for topic in discovery_topics(self._sensor_id):
+                # An empty retained value removes the entity, and the value from the broker.
                 self._link.set_retained(f"/{topic}", b"")
             self._link.set_retained(STATUS, encode_status(WITHDRAWN))

@@ -52,6 +52,7 @@ def read_request(base_topic: str, topic: str, message: MQTTMessage) -> Request |
     """Parse a message on ``req/<verb>``."""
     verb = topic.removeprefix(f"{base_topic}/req/")
     payload = bytes(message.payload)
+    # Properties exist only with MQTT 5; requests of version 3.1.1 are answered on res/<verb>.
     asked = str(getattr(message.properties, "ResponseTopic", None) or "")
     correlation = getattr(message.properties, "CorrelationData", None)
     # Only below res/: a client must not be able to make this daemon publish in the name of a hand.
@@ -115,6 +116,7 @@ class MqttLink:
             ),
         )
         self._session = BrokerSession(broker, events, client_id=client_id, base_topic=base_topic)
+        # Before the first connection, whose first packet contains it.
         will = publish_properties(CONTENT_TYPES["state"], of_will=True)
         self._session.will_set(
             f"{base_topic}/state", b"offline", qos=1, retain=True, properties=will
@@ -124,6 +126,7 @@ class MqttLink:
         self._watched: dict[str, Callable[[bytes], None]] = {}
         self._thread: threading.Thread | None = None
         instance = new_instance()
+        # A session of its own, since the link's would take the name by connecting.
         self._guard = ClientIdGuard(broker, base_topic, instance)
         self.set_retained("state", b"online")
         self.set_retained("instance", json.dumps(instance).encode())
@@ -175,12 +178,14 @@ class MqttLink:
         def left_s(part: float) -> float:
             return max(0.0, began_s + part * timeout_s - time.monotonic())
 
+        # Each step leaves time for the next: a broker that stalls in one must not take all of it.
         self._outgoing.finish(b"stopped", left_s(0.6))
         self._session.disconnect()
         self._outgoing.wait_until_away(left_s(0.8))
         self._end_thread(left_s(1.0))
         done = threading.Event()
         self._outgoing.post(self._give_up)
+        # After the other: whoever has the turn executes them in order.
         self._outgoing.post(done.set)
         done.wait(left_s(1.0))
 
@@ -274,6 +279,7 @@ class MqttLink:
         """Wait for paho's thread; leave one that hangs in a connection attempt,
         since it is a daemon thread.
         """
+        # Ends the thread's wait for a peer that neither reads nor closes.
         sock = self._session.socket()
         if sock is not None:
             with contextlib.suppress(OSError):  # it was already closed
@@ -285,9 +291,12 @@ class MqttLink:
 
     def _before_connect(self) -> None:
         self._thread = threading.current_thread()
+        # paho may lose a connection without a word; what it held then has failed.
         self._outgoing.post(lambda: self._disconnected(None))
         self._guard.wait_until_gone(self._report_holder, lambda: self._outgoing.stopping)
         if self._outgoing.stopping:
+            # To paho an OSError is a failed attempt; any other exception would end its thread, and
+            # with it the daemon.
             raise ConnectionAbortedError("stopped")
 
     def _report_holder(self, reason: Reason) -> None:
@@ -295,10 +304,12 @@ class MqttLink:
 
     def _on_accepted(self, bytes_max: int | None) -> None:
         if self._outgoing.stopping:
+            # `stop` came while we connected, when there was no connection that it could end.
             self._session.disconnect()
             return
         # Or paho would send old retained values after the new ones.
         self._session.drop_out_messages()
+        # In turn, after whatever the last connection still has to settle.
         self._outgoing.post(lambda: self._set_reason(None))
         self._outgoing.post(lambda: self._outgoing.accepted(bytes_max))
 

@@ -30,6 +30,7 @@ def read_password(document: Document) -> str | None:
 def password_in(path: str | Path, where: str) -> str:
     """The first line of a password file; `where` begins each error. Raises ConfigError."""
     try:
+        # Bounded, and only a regular file: a pipe or a device may never end.
         text = read_regular(path, _PASSWORD_BYTES_MAX).decode()
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:

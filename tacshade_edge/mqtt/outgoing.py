@@ -16,7 +16,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
@@ -24,7 +24,7 @@ from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 
 from tacshade_edge.fixes import MESSAGE_SIZE_FIX, with_fix
 from tacshade_edge.mqtt.packets import PACKET_TOO_LARGE, packet_bytes, publish_properties
-from tacshade_edge.mqtt.slots import Item, Slot
+from tacshade_edge.mqtt.slots import Item, Sent, Slot
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.topics import OF_SENSORS
 
@@ -32,9 +32,13 @@ _log = logging.getLogger(__name__)
 
 PayloadOutcome = Literal["published", "superseded", "failed", "refused"]
 
+# One that the socket is taking, and one that follows without a pause; a third would only be an
+# older frame in paho's queue.
 _UNSENT_PER_STREAM: Final = 2
+# A broker that acknowledges nothing must not make us keep every answer and event.
 _ANSWERS_OPEN_MAX: Final = 16
-_STREAM_EXPIRY_S: Final = 5  # the broker then drops what a stalled subscriber has not read
+# The broker then drops what a stalled subscriber has not read.
+_STREAM_EXPIRY_S: Final = 5
 _NO_LISTENER: Final = 0x10  # "no matching subscribers", MQTT 5
 _JSON: Final = "application/json"
 CONTENT_TYPES: Final = {name: topic.content_type for name, topic in OF_SENSORS.items()}
@@ -52,15 +56,6 @@ _COUNTERS: Final = (
     "events",
     "events_dropped",
 )
-
-
-class _Sent(NamedTuple):
-    """A message that paho holds: its slot and item, or None for a reply or an event."""
-
-    slot: Slot | None
-    item: Item | None
-    qos: int
-    size: int
 
 
 class Outgoing:
@@ -86,7 +81,7 @@ class Outgoing:
         self._state_sent = threading.Event()  # the newest one, or the connection was lost
         self._stopping = False
         self._slots: dict[str, Slot] = {}
-        self._by_mid: dict[int, _Sent] = {}
+        self._by_mid: dict[int, Sent] = {}
         self._denied: set[str] = set()
         # The largest packet that the broker accepts and how that showed,
         # and the largest that it has acknowledged.
@@ -181,6 +176,7 @@ class Outgoing:
 
         def send() -> None:
             too_large = self._exceeds(topic, size)
+            # Streams are bounded by their slots; these have none.
             open_now = sum(sent.slot is None for sent in self._by_mid.values())
             if too_large or not self.connected or open_now >= _ANSWERS_OPEN_MAX:
                 self._counters[f"{kind}_dropped"] += 1
@@ -189,7 +185,7 @@ class Outgoing:
             self._counters[kind] += 1
             info = self._client.publish(self._path(topic), payload, 1, properties=properties)
             if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
-                self._by_mid[info.mid] = _Sent(None, None, 1, size)
+                self._by_mid[info.mid] = Sent(None, None, 1, size)
 
         self.post(send)
 
@@ -198,6 +194,8 @@ class Outgoing:
         at once, unless another thread is executing them.
         """
         self._calls.append(call)
+        # Whoever has the turn executes this call too, so nobody waits. Asked again after the
+        # release: a call may have come between the last one and that.
         while self._calls and self._turn.acquire(blocking=False):
             try:
                 while self._calls:
@@ -210,6 +208,7 @@ class Outgoing:
 
         From then on nothing is sent, and every payload offered fails.
         """
+        # Before the state is sent: its answer may come before we wait for it.
         self._state_sent.clear()
         self.post(self._pump_last)
         self.set_retained("state", state)
@@ -256,6 +255,8 @@ class Outgoing:
             if self._exceeds(slot.topic, size):
                 self._settle("refused", slot, item)
                 continue
+            # Only an answer shows whether a broker takes a message of a size that it has not taken
+            # yet; QoS 0 has none.
             qos = max(slot.next_qos(time.monotonic_ns()), size > self._bytes_proven)
             info = self._client.publish(
                 self._path(slot.topic),
@@ -270,7 +271,7 @@ class Outgoing:
                 slot.waiting = item
                 return
             slot.handed.append(item)
-            self._by_mid[info.mid] = _Sent(slot, item, qos, size)
+            self._by_mid[info.mid] = Sent(slot, item, qos, size)
 
     def answered(self, mid: int, code: MqttCode) -> None:
         """Record that paho sent a message (QoS 0) or the broker answered it (QoS 1)."""
@@ -281,6 +282,7 @@ class Outgoing:
             self.note("res or event", size, code)
             self._counters["refused"] += code.is_failure
             return
+        # Not always the first: the broker answers QoS 1 after paho has sent a later one of QoS 0.
         slot.handed.remove(item)
         too_large = code.value == PACKET_TOO_LARGE
         if qos == 1:
@@ -358,11 +360,13 @@ class Outgoing:
 
     def accepted(self, bytes_max: int | None) -> None:
         """Begin a connection to a broker that accepts packets of this size; None is any."""
+        # Before anything is settled: until the first connection no payload counts as failed.
         self._counters["connects"] += 1
         self._bytes_max, self._bytes_max_why = (
             bytes_max,
             f"accepts packets of at most {bytes_max} bytes",
         )
+        # Of this connection: a broker may come back with other limits.
         self._bytes_proven, self._too_large = 0, None
         self._away.clear()
         self._pump(self._slots["state"])

@@ -36,6 +36,7 @@ class _Packed(Properties):
     """
 
     def __init__(self, made: Properties) -> None:
+        # Not as attributes: paho's `__setattr__` accepts only names of MQTT properties.
         self.__dict__.update(made.__dict__, _packed=made.pack())  # type: ignore[no-untyped-call]
 
     def pack(self) -> bytes:
@@ -46,6 +47,8 @@ class _Packed(Properties):
 
 def packet_bytes(topic: str, payload: bytes, properties: Properties) -> int:
     """Return an upper bound of a message's size on the wire in bytes (MQTT 5, section 3.3)."""
+    # At most: a short packet has a shorter header, and QoS 0 no id. Never less, or the broker would
+    # end the connection for a packet that we believed small enough.
     header, packet_id, length = 5, 2, 2
     packed: bytes = properties.pack()  # type: ignore[no-untyped-call]
     return header + length + len(topic.encode()) + packet_id + len(packed) + len(payload)

@@ -20,7 +20,8 @@ from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.sensor_topics import ContactEvent
 
-CONTACT_PERIOD_NS = 100_000_000  # without contact; in contact, every frame is published
+# Without contact; in contact, every frame is published.
+CONTACT_PERIOD_NS = 100_000_000
 
 
 @dataclass(eq=False)
@@ -38,7 +39,8 @@ class Publisher(FrameObserver):
     always_shear: bool = False
     fps: float = 0.0
     _sliding: frozenset[int | None] = frozenset()
-    _state: tuple[bool, bool] = (False, False)  # contact, touched
+    # Contact and touched, of the latest frame.
+    _state: tuple[bool, bool] = (False, False)
     _has_touch: bool = False
     _contact_sent_ns: int | None = None
 
@@ -83,6 +85,7 @@ class Publisher(FrameObserver):
         self._has_touch = result.touch is not None
         if (self._has_touch or touch_ended) and self.has_listener("touch"):
             payloads.append(("touch", messages.encode_touch(result)))
+        # An event for each object that begins to slide, not for each frame in which it does.
         sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
         for began in sliding.keys() - self._sliding:
             self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
@@ -92,6 +95,7 @@ class Publisher(FrameObserver):
         if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
             payloads.append(("contact", messages.encode_contact(result, fps=self.fps)))
+        # Settled here, since no `height` will settle it by its outcome.
         if not height_goes:
             without: FrameOutcome = "without_contact" if result.valid else "invalid"
             self.settle(result.seq, "unasked" if result.contact else without)
@@ -99,7 +103,8 @@ class Publisher(FrameObserver):
             self.offer(stream, payload, result.seq)
 
 
-BRIDGED_NS = 100_000_000  # a shorter gap does not end a contact
+# A shorter gap does not end a contact: single frames may miss a light touch.
+BRIDGED_NS = 100_000_000
 UPDATE_PERIOD_NS = 1_000_000_000
 
 
@@ -114,7 +119,8 @@ class ContactEvents(FrameObserver):
         self._publish_event = publish_event
         self._count = self._touched_ns = self._sent_ns = 0
         self._start_ns: int | None = None
-        self._unmeasured_ns: int | None = None  # since when the depth of a touch is unknown
+        # Since when the depth of a touch is unknown.
+        self._unmeasured_ns: int | None = None
         self._greatest: dict[str, Any] = {}
 
     def see(self, seen: FrameResult) -> None:
@@ -194,6 +200,7 @@ class HealthReport(FrameObserver):
         """The message without the observers' reports; ``frames`` are all counted at one instant."""
         now_ns = time.monotonic_ns()
         counts, before = self._ledger.counts(), self._last
+        # Two snapshots within one tick of the clock must not divide by zero.
         seconds = max(now_ns - self._last_ns, 1) / 1e9
         self._last, self._last_ns = counts, now_ns
         stages = self._timings.percentiles()
@@ -220,6 +227,7 @@ class HealthReport(FrameObserver):
         """Note whether frames come but none can be used;
         keep the first reason, so that it is published once.
         """
+        # Without a calibration no frame can be valid, whatever the camera shows.
         if reason is not None and reason.code is ReasonCode.NOT_CALIBRATED:
             return
         if delivered(counts) > delivered(before):

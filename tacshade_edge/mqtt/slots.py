@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from paho.mqtt.properties import Properties
 
@@ -14,6 +14,7 @@ only probes is reconstructed for nobody.
 """
 
 
+# Compared by identity: two frames may have equal payloads.
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
     payload: bytes
@@ -26,8 +27,10 @@ class Slot:
 
     topic: str
     qos: int
-    retain: bool  # the newest value is sent again on every connection, and has no outcome
-    most: int  # how many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1)
+    # The newest value is sent again on every connection, and has no outcome.
+    retain: bool
+    # How many payloads paho may hold unsent (QoS 0) or unacknowledged (QoS 1).
+    most: int
     properties: Properties
     waiting: Item | None = None
     handed: list[Item] = field(default_factory=list)
@@ -61,6 +64,16 @@ class Slot:
         if self.retain:
             self.waiting = self.newest
             return []
+        # Only the newest: older frames would arrive late, and a subscriber would see time go back.
         if self.waiting is None and lost:
             self.waiting = lost.pop()
         return lost
+
+
+class Sent(NamedTuple):
+    """A message that paho holds: its slot and item, or None for a reply or an event."""
+
+    slot: Slot | None
+    item: Item | None
+    qos: int
+    size: int

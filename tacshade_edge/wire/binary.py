@@ -99,6 +99,7 @@ def _cloud(
     data = (
         points_mm.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
     )
+    # The header has no field for a number of points: its two sides hold the halves.
     return (len(labels) & wire_format.SIDE_MAX, len(labels) >> 16), (0.0, 0.0, 0.0), data
 
 
@@ -106,10 +107,13 @@ def _pack_grid(kind: int, result: Reconstruction, values_mm: F32, taken: Taken) 
     rows, cols = values_mm.shape[:2]
     if max(rows, cols) > wire_format.SIDE_MAX:
         raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
-    steps = values_mm.clip(-_LIMIT_MM, _LIMIT_MM)  # before the multiplication, which could overflow
+    # Before the multiplication, which could overflow.
+    steps = values_mm.clip(-_LIMIT_MM, _LIMIT_MM)
+    # In one array, since this happens to each frame of each sensor.
     np.multiply(steps, _PER_MM, out=steps)
     np.rint(steps, out=steps)
-    np.fmax(steps, _OUTSIDE, out=steps)  # fmax replaces NaN
+    # fmax replaces NaN, maximum would keep it.
+    np.fmax(steps, _OUTSIDE, out=steps)
     height = result.height
     grid = height.row0, height.col0, height.step_px
     return _pack(kind, result, taken, (rows, cols), grid, steps.astype("<i2").tobytes())

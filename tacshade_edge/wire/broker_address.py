@@ -14,7 +14,8 @@ HOST: Final = r"^(?!.{254})(?:[^\s\x00-\x1f\x7f:/@,?#=\[\]\\]+|(?=.*:.*:)[0-9A-F
 brackets or a port.
 """
 _PORT: Final = "1883"
-_PORT_DIGITS_MAX: Final = 5  # `int` of thousands of digits raises
+# Python refuses to convert thousands of digits, with another error.
+_PORT_DIGITS_MAX: Final = 5
 _PORTS: Final = 65536
 
 
@@ -23,6 +24,7 @@ def host_and_port(broker: str) -> tuple[str, int]:
 
     Raises ConfigError.
     """
+    # From the right: an IPv6 address has colons too, and must then be in brackets.
     host, colon, port = broker.rpartition(":")
     if not colon:
         host, port = broker, _PORT
@@ -30,8 +32,10 @@ def host_and_port(broker: str) -> tuple[str, int]:
         host = host[1:-1]
     elif ":" in host:
         host = ""
+    # `isdecimal` alone accepts the digits of all scripts, as does `int`.
     sound = port.isascii() and port.isdecimal() and len(port) <= _PORT_DIGITS_MAX
     sound = sound and 0 < int(port) < _PORTS
+    # Names that DNS cannot have raise UnicodeError in `getaddrinfo`, deep in paho's thread.
     try:
         sound = sound and bool(re.match(HOST, host) and host.encode("idna"))
     except UnicodeError:

@@ -36,6 +36,7 @@ def encode_json(value: object) -> bytes:
 
 def _plain(value: object) -> object:
     """Convert a numpy number to a Python number."""
+    # Results are numpy's numbers here and there, which msgspec does not know.
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} has no JSON form here")
@@ -50,13 +51,17 @@ def decode_json(what: str, payload: bytes, kind: type[T]) -> T:
     if len(payload) > BYTES_MAX:
         raise DecodeError(f"{what}: found {len(payload)} bytes, expected at most {BYTES_MAX}")
     try:
+        # First without a type: with one, msgspec skips unknown keys, whatever they contain, and the
+        # limits hold for them too.
         value = msgspec.json.decode(payload)
         _check(value)
         return msgspec.convert(value, kind)
     except (
+        # msgspec's errors are ValueErrors, as is UnicodeDecodeError. Brackets alone nest deep
+        # enough for a RecursionError.
         ValueError,
         RecursionError,
-    ) as error:  # msgspec's errors are ValueErrors, as is UnicodeDecodeError
+    ) as error:
         raise DecodeError(
             f"{what}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the format in "
             "docs/reference/mqtt.md"
@@ -80,8 +85,10 @@ def _check(value: object, level: int = 0) -> int:
             raise ValueError(
                 f"found a text of {len(value)} characters, expected at most {CHARS_MAX}"
             )
+        # msgspec reads integers of any length, which no other language's subscriber could.
         case int() if abs(value) > _INTEGER_MAX:
             raise ValueError("found an integer of more than 64 bits")
+    # Before the recursion, whose depth this bounds.
     if inside and level == DEPTH_MAX:
         raise ValueError(f"found more than {DEPTH_MAX} levels")
     count = len(inside) + sum(_check(one, level + 1) for one in inside)

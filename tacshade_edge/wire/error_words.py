@@ -6,6 +6,7 @@ from typing import Final
 
 from tacshade_edge.reasons import ReasonCode
 
+# To a robot these are one case: a person has to look. The codes tell the person more.
 _FAILED: Final = ("config", "device", "decode", "disk", "in_use", "disk_full")
 ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     **{ReasonCode(code): "FAILED" for code in _FAILED},
@@ -31,6 +32,7 @@ ERROR_WORDS: Final[dict[ReasonCode, str]] = {
     ReasonCode.NO_PRESS: "EMPTY",
 }
 """The word of each code on the serial line, and at the beginning of an error of ``res/stitch``."""
+# A code without a word is newer than the line's words, which are a promise.
 OTHERWISE: Final = "REFUSED"
 
 

@@ -19,7 +19,8 @@ from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F64, Reconstruction, TouchedObject
 from tacshade_edge.wire.hand_topics import OBJECTS_MAX, Finger, HandObject, HandObjects, Triple
 
-_DIGITS: Final = 4  # 0.1 µm
+# 0.1 µm, finer than any sensor; all digits of a float64 would make the message twice as long.
+_DIGITS: Final = 4
 
 
 def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
@@ -29,9 +30,11 @@ def finger_of(result: Reconstruction, hand_T_sensor: Rigid) -> Finger:
         points_mm, labels = hand_T_sensor.apply(result.cloud.points_mm), result.cloud.labels
         objects = tuple(
             _in_frame(touched, points_mm[labels == touched.label], hand_T_sensor)
+            # The largest come first, so the smallest are left out.
             for touched in result.objects[:OBJECTS_MAX]
         )
     return Finger(
+        # A frame that cannot be used says nothing about contacts: free would be a claim.
         state=("contact" if result.contact else "free") if result.valid else "away",
         t_ns=result.t_ns,
         seq=result.seq,
@@ -72,9 +75,12 @@ def encode_hand(hand: HandObjects) -> bytes:
 def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> HandObject:
     """Transform an object to the hand's frame; `points_mm` are already in it."""
     turn = hand_T_sensor.rotation
+    # Of the points, because a turned box is larger than what it contains; without points there is
+    # only the box.
     extent_mm = (
         np.ptp(points_mm, axis=0) if len(points_mm) else np.abs(turn) @ np.array(touched.extent_mm)
     )
+    # Shear has no z of its own: it lies in the finger's x, y plane.
     slide = (
         None
         if touched.shear_mm is None
@@ -96,7 +102,8 @@ def _in_frame(touched: TouchedObject, points_mm: F64, hand_T_sensor: Rigid) -> H
 
 def rounded_triple(vector: F64) -> Triple:
     """Round a vector (3,) to the published precision."""
-    x, y, z = (round(float(value), _DIGITS) + 0.0 for value in vector)  # no -0.0
+    # + 0.0 turns -0.0 into 0.0.
+    x, y, z = (round(float(value), _DIGITS) + 0.0 for value in vector)
     return x, y, z
 
 

@@ -10,6 +10,7 @@ from msgspec import Meta
 from .bounds import Count, SlipCode
 
 FingerState = Literal["contact", "free", "away"]
+# Wide: robots place a hand anywhere, and covariances are large where nothing is observed.
 _Value = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Triple = tuple[_Value, _Value, _Value]
 
@@ -120,6 +121,7 @@ class HandObjects:
         """Motion of the object that the hand holds; None if no finger
         that touches it reports shear.
         """
+        # A hand holds one object, so all its fingers report the same motion.
         found = (
             o.motion
             for finger in self.fingers.values()

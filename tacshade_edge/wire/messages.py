@@ -41,11 +41,14 @@ TOUCH_SCHEMA: Mapping[str, Any] = {
 
 def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     """The ``contact`` payload; `fps` is the delivery rate in 1/s."""
+    # Objects are sorted: the largest comes first.
     x_mm, y_mm = result.objects[0].centroid_mm[:2] if result.objects else (None, None)
     shears = [o.shear_mm for o in result.objects if o.shear_mm is not None]
     shear_x_mm, shear_y_mm = max(shears, key=lambda x_y: math.hypot(*x_y), default=(None, None))
     slips = [(o.slip, o.slip_mm_s or 0.0) for o in result.objects if o.slip is not None]
+    # By slip first, then by speed: the pair is of one object.
     slip, slip_mm_s = max(slips, default=(None, None))
+    # A 0 would say that nothing is pressed in, which nobody knows.
     known = not result.touched
     return encode_json(
         Contact(
@@ -78,6 +81,7 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
 
 def encode_touch(result: Reconstruction) -> bytes:
     """The ``touch`` payload."""
+    # A touch of unknown depth is a valid frame, so its reason is among the degraded ones.
     missing = result.degraded if result.touched else result.reason
     reason = missing if result.touch is None else result.touch.reason
     numbers: dict[str, Any] = {**touch_fields(result.touch), **reason_fields(reason)}
@@ -130,6 +134,7 @@ def encode_object(result: Reconstruction, named: TouchedObject) -> bytes:
 
 def event_values(result: Reconstruction) -> dict[str, float]:
     """The values of a frame whose greatest a `ContactEvent` has."""
+    # Left out if unknown: None would not compare with the greatest so far.
     shear, slips = (
         result.shear_of_contact_mm,
         [o.slip for o in result.objects if o.slip is not None],
@@ -169,10 +174,12 @@ def encode_info(
 
 def _geometry(calibration: Calibration) -> InfoGeometry:
     sources = calibration, calibration.geometry, calibration.geometry.disc
+    # By name: what `info` reports of the calibration has the calibration's names.
     names = {field.name for field in fields(InfoGeometry)}
     values = {
         name: getattr(source, name) for source in sources for name in names if hasattr(source, name)
     }
+    # A pad's radius is infinite, which JSON lacks.
     if calibration.geometry.skin == "pad":
         values |= {"skin_radius_mm": None, "visible_half_angle_deg": None}
     return InfoGeometry(**values, calibration_crc32=calibration.crc32)
@@ -184,4 +191,5 @@ def encode_status(
     """The ``status/<part>`` payload: ``state``, ``reason`` with its code,
     and the part's own details.
     """
+    # A part's own details cannot replace its state or reason, which come last.
     return encode_json({**(details or {}), "state": state, **reason_fields(reason)})

@@ -20,17 +20,22 @@ Verb = Literal["reference", "profile", "status", "record", "stitch", "replay"]
 StitchAction = Literal["begin", "add", "end", "abort", "status"]
 Transaction = (
     Annotated[str, msgspec.Meta(max_length=128)]
+    # Within what a JavaScript number holds exactly, so that the echo is the same number.
     | Annotated[int, msgspec.Meta(ge=-(2**53), le=2**53)]
     | None
 )
+# Anyone who reaches the broker may send one, and parsing happens in paho's thread.
 REQUEST_BYTES_MAX: Final = 4096
-RECORD_S_MAX: Final = 3600  # 40 GB of grey 640x480 at 60 per second
+# 40 GB of grey 640x480 at 60 per second.
+RECORD_S_MAX: Final = 3600
+# \Z and not $, which also matches before a final newline.
 RECORD_NAME: Final = r"\A[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}\Z"
 """Also for a stitching session: recordings and sessions name their folders."""
 RECORD_NAME_RULE: Final = "up to 64 letters, digits, '.', '_' and '-', not starting with '.'"
 _ERROR_CHARS_MAX: Final = 200
 
 
+# Unknown keys are errors: a misspelt key must not do something else silently.
 class _Body(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, frozen=True):
     transaction: Transaction = None
 
@@ -57,6 +62,7 @@ class _Stitch(_Body, frozen=True):
     name: Annotated[str, msgspec.Meta(pattern=RECORD_NAME)] | None = None
 
     def __post_init__(self) -> None:
+        # The other actions are of the open session, which has a name already.
         if self.name is not None and self.action != "begin":
             raise ValueError(f"found a name with the action {self.action}")
 
@@ -75,6 +81,7 @@ class PlaybackCommand(_Body, frozen=True):
     speed: Annotated[float, msgspec.Meta(ge=0.01, le=100)] | None = None
 
 
+# Lenient, unlike `_Body`: whatever else is wrong, the error should reach its asker.
 class _Echo(msgspec.Struct):
     transaction: Transaction = None
 
@@ -134,6 +141,7 @@ def parse_request(
         raise DecodeError(found, code=ReasonCode.BAD_REQUEST)
     try:
         body = msgspec.json.decode(payload or b"{}", type=_BODIES[known])
+    # Brackets alone nest deep enough for a RecursionError.
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         found = (
             f"req/{verb}: {escaped(str(error), _ERROR_CHARS_MAX)}; expected the keys in "
@@ -143,6 +151,7 @@ def parse_request(
     fields = {name: value for name, value in asdict(body).items() if value is not None}
     if tag := body.__struct_config__.tag:
         fields["action"] = tag
+    # Whole: here None leaves a setting as it is, so it must not be dropped with the others.
     if isinstance(body, PlaybackCommand):
         fields = {"transaction": body.transaction, "playback": body}
     return Request(known, response_topic=response_topic, correlation=correlation, **fields)
@@ -153,6 +162,8 @@ def parse_transaction(payload: bytes) -> str | int | None:
     None if there is none.
     """
     try:
+        # Cut, since a request that is too long is rejected too; what is cut is no JSON, and has
+        # none.
         return msgspec.json.decode(payload[:REQUEST_BYTES_MAX], type=_Echo).transaction
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
@@ -165,6 +176,7 @@ def encode_reply(request: Request, outcome: RequestResult | Mapping[str, Any] | 
     The error of ``stitch`` begins with the serial line's word for its code.
     """
     if isinstance(outcome, Reason):
+        # Scripts for the robot's line and for MQTT can look for the same words.
         word = f"{error_word(outcome.code)}: " if request.verb == "stitch" else ""
         return encode_error(request.transaction, Reason(outcome.code, f"{word}{outcome.text}"))
     result = outcome if isinstance(outcome, Mapping) else outcome.figures()

@@ -36,6 +36,7 @@ class ReferenceTaken(_Result, frozen=True):
 
     def figures(self) -> dict[str, Any]:
         found = asdict(self)
+        # Programs ask whether it is stored; the reply has the reason in fields of its own.
         stored = found.pop("unstored") is None
         return {**found, "stored": stored}
 

@@ -26,6 +26,7 @@ class InfoGeometry:
     A pad has neither `skin_radius_mm` nor `visible_half_angle_deg`.
     """
 
+    # A default, because daemons before pads do not send it.
     skin: Skin = "dome"
     skin_radius_mm: Annotated[float, Meta(ge=0.1, le=1e4)] | None
     camera_distance_mm: Annotated[float, Meta(ge=-1e4, le=1e5)] | None
@@ -42,6 +43,7 @@ class InfoGeometry:
     calibration_crc32: Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
     def __post_init__(self) -> None:
+        # Raises ValueError for a quaternion that is no rotation; decoding reports it in one line.
         from_seven(self.flange_T_sensor)
         d, geometry = self.camera_distance_mm, self.geometry
         if d is not None and not geometry.f_px > 0:
@@ -122,6 +124,7 @@ class Contact:
     reason_code: Code = ""
     degraded_code: Code = ""
     wall_ns: Count = 0
+    # Last and with a default, because older daemons do not send it.
     touched: Annotated[int, Meta(ge=0, le=1)] = 0
 
 
@@ -142,6 +145,7 @@ class TouchNumbers:
     reason_code: Code = ""
 
     def __post_init__(self) -> None:
+        # A value without a standard deviation would be trusted without bounds.
         if (self.touch or {}).keys() != (self.touch_sigma or {}).keys():
             raise ValueError("found other names in touch_sigma than in touch")
 

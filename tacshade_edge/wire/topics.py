@@ -33,7 +33,9 @@ ALIVE: Final = ("online", "degraded")
 T = TypeVar("T")
 
 _JSON: Final = "application/json"
+# What every JPEG image begins with; whoever shows the image decodes the rest.
 _JPEG: Final = b"\xff\xd8"
+# Many times a picture of 320 px: only a stranger's is larger.
 PREVIEW_BYTES_MAX: Final = 1 << 20
 
 
@@ -68,14 +70,17 @@ def _binary(kind: type, name: str) -> Topic:
 
 def decode_status(topic: str, payload: bytes) -> Status:
     """Decode a ``status/<part>``. Raises DecodeError."""
+    # An empty payload clears a retained value.
     return decode_json(topic, payload or b"{}", Status)
 
 
 def decode_state(payload: bytes) -> State:
     """Decode a ``state``. Raises DecodeError."""
+    # Plain text, not JSON: the broker sends a will as it is, and people read it with any tool.
     for state in STATES:
         if payload == state.encode():
             return state
+    # Cut before it is quoted: the payload may be large.
     found = quoted(payload[:60].decode(errors="replace"))
     raise DecodeError(f"state: found {found}, expected one of {', '.join(STATES)}")
 
@@ -127,6 +132,7 @@ def _decoder(what: str, kind: type[T]) -> Callable[[bytes], T]:
     def read(payload: bytes) -> T:
         return decode_json(what, payload, kind)
 
+    # Names of their own, since the client's wheel offers them one by one.
     read.__doc__ = f"Decode the payload of ``{what}`` as `{kind.__name__}`. Raises DecodeError."
     return read
 

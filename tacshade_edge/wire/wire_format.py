@@ -21,6 +21,7 @@ from ..types import F32, U16, Pose
 
 WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96
+# The one value of an int16 that no height needs: its mirror image, +32768, does not exist.
 OUTSIDE: Final = -32768
 CELLS_MAX: Final = 1 << 22
 """Most cells of a decoded grid, or points of a cloud:
@@ -28,9 +29,13 @@ a disc of 2048 px with a cell for each pixel.
 """
 PAYLOAD_BYTES_MAX: Final = 14 * CELLS_MAX
 """Size of the largest payload, a cloud of `CELLS_MAX` points."""
+# Wider than any sensor or robot, so that only damage and nonsense exceed them.
 _PX_MAX, _MM_MAX = 1e5, 1e7
 _STEP_PX_LEAST: Final = 1e-6
+# Robots round their quaternions, and the header holds float32; whatever is further off is damaged
+# or something else.
 _UNIT_OFF_MAX: Final = 1e-2
+# 1 µm: finer than any sensor's noise, and ±32.767 mm is deeper than any skin.
 SCALE_MM: Final = 0.001
 STEPS_MAX: Final = 32767
 SIDE_MAX: Final = 0xFFFF
@@ -39,12 +44,15 @@ _U32: Final = 0xFFFFFFFF
 _MAGIC: Final = b"TCSH"
 _RAW: Final = 0
 _FLAGS: Final = {"contact": 1, "invalid": 2, "saturated": 4, "degraded": 8, "touched": 32}
+# Apart from the other flags, since it states that other bytes count.
 _POSE: Final = 16
 _NO_POSE: Final = (0.0,) * 7
 
 # magic version kind codec flags | seq calibration t wall | rows cols | row0 col0 step scale |
 # pose | payload bytes
+# "<" is little-endian and without padding: the offsets are promised to other languages.
 HEAD: Final = struct.Struct("<4s4B IIQQ 2H 4f I7f I")
+# Payloads are also kept in files, where nothing else finds a flipped bit. Then 4 reserved bytes.
 _CHECK: Final = struct.Struct("<II")
 _POINT_BYTES, _LABEL_BYTES = 12, 2
 
@@ -146,6 +154,7 @@ def pack(
 
     `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
     """
+    # By name and not by order: bit 16 lies between the flags of `_FLAGS`.
     flags = 0
     for name, bit in _FLAGS.items():
         if getattr(fields, name):
@@ -172,6 +181,8 @@ def pack(
         *pose,
         len(data),
     )
+    # One join, since each `+` would copy the data again; and the CRC goes on from the header's, so
+    # that nothing is joined for it.
     return b"".join((head, _CHECK.pack(zlib.crc32(data, zlib.crc32(head)), 0), data))
 
 
@@ -186,6 +197,7 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
     wrong length or CRC, more than `CELLS_MAX` cells or points, or a number that no sensor, robot or
     object has.
     """
+    # A copy unless it is bytes already: the arrays look into it, and a caller reuses its buffer.
     data = bytes(data)
     kind, rows, cols = _check(data)
     fields = HEAD.unpack_from(data)
@@ -207,9 +219,11 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
         "pose_error_us": error_us if pose else 0,
     }
     if kind == CLOUD:
+        # A cloud has no grid, so rows and columns are the halves of its number of points.
         n = rows | cols << 16
         points = np.frombuffer(data, "<f4", 3 * n, HEADER_BYTES).astype(np.float32, copy=False)
-        if not (np.abs(points) <= _MM_MAX).all():  # also rejects NaN
+        # Asked this way round, so that NaN is rejected too.
+        if not (np.abs(points) <= _MM_MAX).all():
             _refuse("", "a point out of range", f"every point within {_MM_MAX:g} mm of the origin")
         labels = np.frombuffer(data, "<u2", n, HEADER_BYTES + _POINT_BYTES * n).astype(
             np.uint16, copy=False
@@ -217,6 +231,7 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
         return CloudMessage(**common, points_mm=points.reshape(n, 3), labels=labels)
     made, name, per_cell = _GRIDS[kind]
     steps = np.frombuffer(data, "<i2", rows * cols * per_cell, HEADER_BYTES)
+    # Scalars of float32: with a Python float the product would be float64, twice the memory.
     values_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm))
     values_mm.setflags(write=False)
     common[name] = values_mm.reshape((rows, cols, per_cell)[: 1 + per_cell])
@@ -237,6 +252,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
     if len(data) < HEADER_BYTES:
         _refuse("", f"{len(data)} bytes", f"at least {HEADER_BYTES} (the header)")
     magic, version, kind, codec, _, _, _, _, _, rows, cols, *_, stated = HEAD.unpack_from(data)
+    # The magic first: whoever sends something else should read that, and not of a length.
     for offset, name, found, expected in (
         ("0", "magic", magic, (_MAGIC,)),
         ("4", "wire version", version, (WIRE_VERSION,)),
@@ -246,6 +262,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
         if found not in expected:
             _refuse(offset, f"{name} {found}", " or ".join(map(str, expected)))
     cells = rows | cols << 16 if kind == CLOUD else rows * cols
+    # Before anything of that size is computed or allocated: the header may be a stranger's.
     if cells > CELLS_MAX:
         _refuse("32", f"{cells} cells or points", f"at most {CELLS_MAX}")
     needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == CLOUD else 2 * _GRIDS[kind][2])
@@ -253,6 +270,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
         _refuse("84", f"{stated} payload bytes", f"{needed}")
     if len(data) != HEADER_BYTES + stated:
         _refuse("", f"{len(data)} bytes", f"{HEADER_BYTES + stated}, as stated at byte 84")
+    # Last, because it reads all bytes.
     crc, _ = _CHECK.unpack_from(data, HEAD.size)
     actual = zlib.crc32(memoryview(data)[HEADER_BYTES:], zlib.crc32(data[: HEAD.size]))
     if crc != actual:
@@ -265,6 +283,7 @@ def _check_grid(
 ) -> None:
     if not rows * cols:
         _refuse("32", f"{rows} x {cols} cells", "at least one")
+    # A comparison with NaN is false, so each states what is right.
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
         _refuse("36", found, "a row, a column and a step within an image")
