@@ -29,6 +29,7 @@ _MISTAKES = (
 )
 _CHARS_MAX = 4000  # length of a printed error, which may list all expected values
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
+EXIT_INTERRUPTED = 130  # as a shell reports a command that SIGINT ended: 128 + 2
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -148,4 +149,4 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)
         return EXIT_CONFIG if error.errno in _MISTAKES else EXIT_FAILED
     except KeyboardInterrupt:
-        return 130
+        return EXIT_INTERRUPTED

@@ -20,7 +20,10 @@ LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_WIDTH_PX = 12
 TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
 SEEN_PX = 900  # up to which `reference_picture` enlarges
-_FOUND = (0, 230, 255)
+_FOUND, _OUTLINE, _PLACE = (0, 230, 255), (90, 200, 90), (255, 120, 255)
+_BAR_AT_PX, _BAR_PITCHES = 8, 5
+_HALF_WHITE = 127
+_DIMENSIONS_BGR = 3
 _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
 _LABEL_EVERY_PX = 46  # least distance between ticks
 _LEGEND_PX = 22
@@ -101,7 +104,7 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
     """One reconstruction, uint8 BGR: the image with axes in px, and the height in mm with contact,
     a colour bar and axes in mm in the plane of the visible circle, from its centre.
     """
-    left = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+    left = _bgr(image)
     rows, cols = left.shape[:2]
     top = max(float(np.nanmax(result.height.height_mm, initial=0.0)), 0.1)
     right = _coloured(result.height, (cols, rows), top)
@@ -141,7 +144,7 @@ class Tile:
 
 def tile(name: str, image: U8, result: Reconstruction) -> Tile:
     """The tile of an image, uint8 (H, W) or (H, W, 3) BGR."""
-    grey, (rows, cols) = image.ndim == 2, image.shape[:2]
+    rows, cols = image.shape[:2]
     small = cv2.resize(
         image, (TILE_PX, max(round(rows * TILE_PX / cols), 1)), interpolation=cv2.INTER_AREA
     )
@@ -152,7 +155,7 @@ def tile(name: str, image: U8, result: Reconstruction) -> Tile:
     )
     text = f"{name[-24:]}: {found}"
     return Tile(
-        cv2.cvtColor(small, cv2.COLOR_GRAY2BGR) if grey else small,
+        _bgr(np.asarray(small, np.uint8)),
         result.height,
         (cols, rows),
         text,
@@ -200,50 +203,57 @@ def reference_picture(
     row); else the likeliest circle, drawn thinly.
     """
     zoom = max(1, SEEN_PX // max(grey.shape))
-    picture = cv2.resize(
-        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR),
-        None,
-        fx=zoom,
-        fy=zoom,
-        interpolation=cv2.INTER_NEAREST,
-    )
-    text = "no circle found: state visible_circle in SENSOR.yaml"
+    picture = _zoomed(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), zoom)
     if calibration is not None:
-        white = cv2.resize(
-            calibration.reference_white, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST
-        )
-        outlines, _ = cv2.findContours(
-            (white > 127).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
-        )
-        cv2.drawContours(picture, outlines, -1, (90, 200, 90), 1)
-    if disc := calibration.geometry.disc if calibration else guess:
-        middle = round((disc.col_c + 0.5) * zoom), round((disc.row_c + 0.5) * zoom)
-        cv2.circle(
-            picture,
-            middle,
-            round(disc.radius_px * zoom),
-            _FOUND,
-            2 if calibration else 1,
-            cv2.LINE_AA,
-        )
-        cv2.drawMarker(picture, middle, _FOUND, cv2.MARKER_CROSS, 12, 2)
-        text = (
-            f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px"
-        )
-    if calibration is None:
-        text = f"uncertain {text}; state visible_circle in SENSOR.yaml" if guess else text
+        text = _draw_calibration(picture, calibration, places_px, zoom)
+    elif guess is not None:
+        _draw_circle(picture, guess, zoom, thickness_px=1)
+        text = f"uncertain {_circle_text(guess)}; state visible_circle in SENSOR.yaml"
     else:
-        for col, row in places_px:
-            at = round((col + 0.5) * zoom), round((row + 0.5) * zoom)
-            cv2.drawMarker(picture, at, (255, 120, 255), cv2.MARKER_TILTED_CROSS, 10, 2)
-        end = 8 + round(5 * calibration.pitch_px * zoom)
-        cv2.line(picture, (8, len(picture) - 8), (end, len(picture) - 8), _FOUND, 3)
-        text += (
-            f"; bar: 5 pitches of {calibration.pitch_px:.1f} px; {calibration.polarity}, "
-            f"{calibration.binarisation}"
-        )
+        text = "no circle found: state visible_circle in SENSOR.yaml"
+    # Pixel 0 begins at -0.5; the middle of the first enlarged pixel is half of one further.
     x, y = (Axis(f"{name} (px)", 0.5 / zoom - 0.5, 1 / zoom) for name in ("col", "row"))
-    return with_legend(framed(np.asarray(picture, np.uint8), x, y), text)
+    return with_legend(framed(picture, x, y), text)
+
+
+def _draw_calibration(
+    picture: U8, calibration: Calibration, places_px: Sequence[Sequence[float]], zoom: int
+) -> str:
+    """Draw what was found on a reference; returns it in words."""
+    white = _zoomed(calibration.reference_white, zoom)
+    _outline(picture, (white > _HALF_WHITE).astype(np.uint8), cv2.RETR_LIST, _OUTLINE)
+    _draw_circle(picture, calibration.geometry.disc, zoom, thickness_px=2)
+    for col, row in places_px:
+        cv2.drawMarker(picture, _middle_px(row, col, zoom), _PLACE, cv2.MARKER_TILTED_CROSS, 10, 2)
+    end = _BAR_AT_PX + round(_BAR_PITCHES * calibration.pitch_px * zoom)
+    row = len(picture) - _BAR_AT_PX
+    cv2.line(picture, (_BAR_AT_PX, row), (end, row), _FOUND, 3)
+    return (
+        f"{_circle_text(calibration.geometry.disc)}; bar: {_BAR_PITCHES} pitches of "
+        f"{calibration.pitch_px:.1f} px; {calibration.polarity}, {calibration.binarisation}"
+    )
+
+
+def _draw_circle(picture: U8, disc: Disc, zoom: int, *, thickness_px: int) -> None:
+    middle = _middle_px(disc.row_c, disc.col_c, zoom)
+    radius = round(disc.radius_px * zoom)
+    cv2.circle(picture, middle, radius, _FOUND, thickness_px, cv2.LINE_AA)
+    cv2.drawMarker(picture, middle, _FOUND, cv2.MARKER_CROSS, 12, 2)
+
+
+def _circle_text(disc: Disc) -> str:
+    return f"circle: row {disc.row_c:.0f}, column {disc.col_c:.0f}, radius {disc.radius_px:.0f} px"
+
+
+def _zoomed(image: U8, zoom: int) -> U8:
+    # Interpolation would blur on which pixel a rim lies.
+    enlarged = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(enlarged, np.uint8)
+
+
+def _middle_px(row: float, col: float, zoom: int) -> tuple[int, int]:
+    """Where the middle of a pixel is in the enlarged picture: column, row."""
+    return round((col + 0.5) * zoom), round((row + 0.5) * zoom)
 
 
 def height_png(height_mm: F32) -> bytes:
@@ -281,9 +291,13 @@ def _coloured(height: HeightMap, size: tuple[int, int], top: float) -> U8:
     )
     picture[seen == 0] = 255
     touched = _over_image(height.contact.astype(np.uint8), height, size, cv2.INTER_NEAREST)
-    outlines, _ = cv2.findContours(touched, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(picture, outlines, -1, _WHITE, 1)
+    _outline(picture, touched, cv2.RETR_EXTERNAL, _WHITE)
     return picture
+
+
+def _outline(picture: U8, mask: U8, mode: int, colour: tuple[int, int, int]) -> None:
+    outlines, _ = cv2.findContours(mask, mode, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outlines, -1, colour, 1)
 
 
 def _over_image(values: U8, grid: HeightMap, size: tuple[int, int], interpolation: int) -> U8:
@@ -300,6 +314,13 @@ def with_legend(picture: U8, text: str) -> U8:
     legend = np.full((_LEGEND_PX, picture.shape[1], 3), 255, dtype=np.uint8)
     cv2.putText(legend, encodable(text[:120]), (6, 15), _FONT, 0.45, _BLACK, 1, cv2.LINE_AA)
     return np.vstack([picture, legend])
+
+
+def _bgr(image: U8) -> U8:
+    """A grey or BGR image as BGR."""
+    if image.ndim == _DIMENSIONS_BGR:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _width_px(text: str) -> int:

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.types import U8
 
+# OpenCV has such a limit too, but reads it from the environment when it is loaded: a program that
+# imports the library may have loaded it before, and may itself read larger images. Its error also
+# states no size.
 PIXELS_MAX: Final = 1 << 24
 SIDE_MAX_PX: Final = 8192
 
@@ -102,14 +105,18 @@ def _size_px(data: bytes) -> tuple[int, int] | None:
         return None
 
 
+_PNG_FIRST: Final = 8  # the signature's length
+_BITS_LEAST: Final = 8
+
+
 def _png(data: bytes) -> tuple[int, int] | None:
     """The size from the first chunk; all must be as long as stated,
     as the decoder trusts that (ISO/IEC 15948, 5.3).
     """
-    at, kind = 8, b""
+    at, kind = _PNG_FIRST, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
-        if (kind == b"IHDR") != (at == 8) or at + 12 + length > len(data):
+        if (kind == b"IHDR") != (at == _PNG_FIRST) or at + 12 + length > len(data):
             return None
         if kind == b"acTL":
             raise DecodeError(_SEVERAL)
@@ -120,7 +127,7 @@ def _png(data: bytes) -> tuple[int, int] | None:
 
 
 def _check_bits(bits: int) -> None:
-    if bits < 8:
+    if bits < _BITS_LEAST:
         raise DecodeError(
             f"found {bits} bits per pixel, too few grey levels for a skin, expected 8 or 16"
         )
@@ -155,9 +162,14 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
             return None
 
 
+_BMP_OLD_BYTES: Final = 12  # a BITMAPCOREHEADER, whose sides have 16 bits
+
+
 def _bmp(data: bytes) -> tuple[int, int]:
     (header_bytes,) = struct.unpack_from("<I", data, 14)
-    width, height, _, bits = struct.unpack_from("<4H" if header_bytes == 12 else "<2i2H", data, 18)
+    width, height, _, bits = struct.unpack_from(
+        "<4H" if header_bytes == _BMP_OLD_BYTES else "<2i2H", data, 18
+    )
     _check_bits(bits)
     return abs(width), abs(height)  # negative if upside down
 
@@ -195,6 +207,7 @@ _TIFF_TAGS = (
     *_TIFF_TILES,
 )
 _TIFF_SHORT, _TIFF_THUMBNAIL, _TIFF_NOT_WHOLE = 3, 1, (2, 3)  # signed, floating-point
+_TIFF_INLINE_BYTES = 4  # a value of at most so many stands in the entry itself
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
@@ -229,7 +242,9 @@ def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], i
         tag, kind, count = struct.unpack_from(f"{order}2HI", data, entry)
         form, size = (f"{order}H", 2) if kind == _TIFF_SHORT else (f"{order}I", 4)
         value_at = (
-            entry + 8 if size * count <= 4 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
+            entry + 8
+            if size * count <= _TIFF_INLINE_BYTES
+            else struct.unpack_from(f"{order}I", data, entry + 8)[0]
         )
         if tag in _TIFF_TAGS:
             found[tag] = max(struct.unpack_from(form, data, value_at)[0], found.get(tag, 0))

@@ -62,6 +62,11 @@ def png(image: U8) -> bytes:
     return bytes(cv2.imencode(".png", image, _PNG_OPTIONS)[1].tobytes())
 
 
+def size_text(image: U8) -> str:
+    """``640x480``, the width and the height of an image in px."""
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
 def number_in(name: str, prefix: str) -> int:
     """The number in ``PREFIX_NUMBER.png``; 0 in any other name."""
     found = re.fullmatch(rf"{prefix}_(\d{{1,18}})\.png", name, re.ASCII)

@@ -17,6 +17,7 @@ _HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
 # An ASCII triangle takes about 270 bytes.
 _LINE_BYTES = 256
 _MAX_BYTES = MAX_TRIANGLES * 400
+_CORNERS = 3
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -77,7 +78,7 @@ def _ascii(path: Path, data: bytes) -> F64:
                     f"{path}:{number}: found {quoted(line.strip())}, "
                     "expected a line of the form vertex x y z"
                 ) from None
-            if len(corners) == 3 * MAX_TRIANGLES:
+            if len(corners) == _CORNERS * MAX_TRIANGLES:
                 raise DecodeError(
                     f"{path}: found more than {MAX_TRIANGLES} triangles, expected at most "
                     f"{MAX_TRIANGLES}"
@@ -85,9 +86,9 @@ def _ascii(path: Path, data: bytes) -> F64:
             corners.append((x, y, z))
             in_facet += 1
         elif word.lower() == "endfacet":
-            if in_facet != 3:
+            if in_facet != _CORNERS:
                 raise DecodeError(
-                    f"{path}:{number}: found a facet with {in_facet} corners, expected 3"
+                    f"{path}:{number}: found a facet with {in_facet} corners, expected {_CORNERS}"
                 )
             in_facet = 0
     if in_facet:

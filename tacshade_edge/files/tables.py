@@ -51,19 +51,48 @@ def read_columns(
     filled cell are skipped. Raises ConfigError if the file is unreadable or not CSV, a column is
     missing or repeated, or a row has another length; `what` names the rows.
     """
-    text = _text(path, what, rows_max * BYTES_A_ROW_MAX)
+    text, delimiter = _separated(_text(path, what, rows_max * BYTES_A_ROW_MAX), required)
+    lines = _lines(path, text, delimiter, rows_max)
+    line0, header = lines[0] if lines else (1, [])
+    while header and not header[-1]:
+        header.pop()
+    known = (*required, *optional)
+    _check_header(f"{path}:{line0}", header, required, known, delimiter)
+    rows: Rows = []
+    for line, cells in lines[1:]:
+        if len(cells) < len(header) or any(cells[len(header) :]):
+            raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
+        found_cells = dict.fromkeys(known, "") | dict(zip(header, cells, strict=False))
+        if delimiter != ",":
+            found_cells = {
+                key: cell if key in _TEXTS else cell.replace(",", ".")
+                for key, cell in found_cells.items()
+            }
+        rows.append((f"{path}:{line}", found_cells))
+    return rows, tuple(name for name in header if name not in known)
+
+
+def _separated(text: str, required: tuple[str, ...]) -> tuple[str, str]:
+    """The text of the table, and its separator: the stated one, or else the one at which most
+    required names appear.
+    """
     first = begun[0] if (begun := _LINE.match(text)) else ""
     if stated := _SEPARATOR.fullmatch(first):
-        text = "\n" + text[len(first) :]
+        # An empty line in its place keeps the line numbers as the file has them.
+        return "\n" + text[len(first) :], stated[1]
     names = {each: {name.strip('" \t\r\n') for name in first.split(each)} for each in ",;\t"}
-    delimiter = (
-        stated[1]
-        if stated
-        else max(names, key=lambda each: len(names[each].intersection(required)))
-    )
+    return text, max(names, key=lambda each: len(names[each].intersection(required)))
+
+
+def _lines(path: Path, text: str, delimiter: str, rows_max: int) -> list[tuple[int, list[str]]]:
+    """The number and the cells of each row that has any, the header's first.
+
+    Raises ConfigError.
+    """
     taken = 0
 
     def bounded() -> Iterator[str]:
+        # A quote that nobody closes makes one row of the rest of the file.
         nonlocal taken
         for found in _LINE.finditer(text):
             taken += len(found[0])
@@ -83,33 +112,31 @@ def read_columns(
                 raise ConfigError(f"{path}:{reader.line_num}: {found}")
     except csv.Error as error:
         raise ConfigError(f"{path}:{reader.line_num + 1}: not a CSV file: {error}") from None
-    line0, header = lines[0] if lines else (1, [])
-    while header and not header[-1]:
-        header.pop()
+    return lines
+
+
+def _check_header(
+    where: str,
+    header: Sequence[str],
+    required: tuple[str, ...],
+    known: tuple[str, ...],
+    delimiter: str,
+) -> None:
+    """Check that the header has every required column, and no known one twice.
+
+    Raises ConfigError.
+    """
     if missing := [name for name in required if name not in header]:
         found = f"the header {shown(delimiter.join(header), 80)}" if header else "no header"
         raise ConfigError(
-            f"{path}:{line0}: found {found}, expected {','.join(required)}; the header lacks "
+            f"{where}: found {found}, expected {','.join(required)}; the header lacks "
             f"{', '.join(missing)}"
         )
-    known = (*required, *optional)
     if twice := [name for name in known if header.count(name) > 1]:
         raise ConfigError(
-            f"{path}:{line0}: {twice[0]}: found {header.count(twice[0])} columns with this name, "
+            f"{where}: {twice[0]}: found {header.count(twice[0])} columns with this name, "
             "expected one"
         )
-    rows: Rows = []
-    for line, cells in lines[1:]:
-        if len(cells) < len(header) or any(cells[len(header) :]):
-            raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
-        found_cells = dict.fromkeys(known, "") | dict(zip(header, cells, strict=False))
-        if delimiter != ",":
-            found_cells = {
-                key: cell if key in _TEXTS else cell.replace(",", ".")
-                for key, cell in found_cells.items()
-            }
-        rows.append((f"{path}:{line}", found_cells))
-    return rows, tuple(name for name in header if name not in known)
 
 
 def number(where: str, column: str, text: str) -> float:

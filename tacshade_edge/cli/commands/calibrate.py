@@ -7,8 +7,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,21 +16,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacshade_edge.calibration import loading
-from tacshade_edge.calibration.calibrate import calibrate, inputs_of, with_new_reference
+from tacshade_edge.calibration.calibrate import (
+    CalibrationResult,
+    calibrate,
+    inputs_of,
+    with_new_reference,
+)
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.files.indenter_file import read_indenters
-from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
+from tacshade_edge.calibration.files.labels import read_labels
 from tacshade_edge.calibration.files.press_table import read_presses
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.indenters import skin_z_mm
-from tacshade_edge.calibration.inputs import KnownPress
+from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
 from tacshade_edge.calibration.press_machine import from_travel
 from tacshade_edge.calibration.reference.references import rezero
 from tacshade_edge.calibration.reference.visible_circle import CircleNotFoundError
 from tacshade_edge.calibration.sentences import FindingError, sentence
+from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
+from tacshade_edge.cli.shared.label_option import (
+    learn_touches,
+    touch_models,
+    touch_report,
+    touch_warnings,
+)
 from tacshade_edge.cli.shared.options import add_flag, add_option, need
-from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.rest_option import (
     add_rest,
     rest_lines,
@@ -41,27 +52,19 @@ from tacshade_edge.cli.shared.rest_option import (
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.drawing import reference_picture, write_picture
-from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.files.images import images_in, read_image, size_text
 from tacshade_edge.lab.simulator.render import project
-from tacshade_edge.quoting import counted
 from tacshade_edge.sensor.depth.learned import FLAT_DEG
 from tacshade_edge.sensor.frame_check import camera_drift
 from tacshade_edge.sensor.image.greyscale import to_grey
-from tacshade_edge.sensor.inference.network import (
-    LabelledFrame,
-    TouchResult,
-    learn_touch,
-    load_networks,
-    report_lines,
-)
-from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
-from tacshade_edge.sensor.touch.learning import LEAST_GROUPS, LEAST_ROWS
-from tacshade_edge.types import QUANTITIES, U8, Calibration, Geometry
+from tacshade_edge.sensor.inference.network import TouchResult, load_networks, report_lines
+from tacshade_edge.sensor.inference.rest_evidence import LearntRest
+from tacshade_edge.sensor.profiles import DEFAULT
+from tacshade_edge.types import U8, Calibration, Geometry
 
 if TYPE_CHECKING:
     from tacshade_edge.lab.fitting.fit import FitResult
 
-_SHOWN = 3
 # Options that have no effect with ``--rezero``, and what that keeps.
 _WITH_REZERO = dict.fromkeys(
     ("presses", "indenters", "fit", "touches"), "the fit to the presses"
@@ -122,31 +125,81 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit or re-zero, write the calibration file, and print its quality."""
+    _check_options(args)
+    if args.rezero is not None:
+        return _rezero(args)
+    args.reference = images_in(args.reference)
+    sensor, references = read_sensor(args.sensor), _read_references(args.reference)
+    if args.fit:
+        _check_fit(args.sensor, sensor)
+    # Whatever is to be read is read before the minutes that a fit takes.
+    touches = _read_touches(args.touches, references[0]) if args.touches else []
+    labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
+    presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
+    result = _calibrate(args, sensor, references, presses)
+    fitted = _fit(args.out, sensor, result, touches) if args.fit else None
+    calibration = fitted.calibration if fitted else result.calibration
+    touch = learn_touches(calibration, args.labels, labelled) if labelled else []
+    # Learnt with the fitted networks, whose heights at rest are others than as shipped.
+    rest = rest_of(args, calibration, references) if args.rest else None
+    calibration = replace(
+        calibration, touch=touch_models(touch) if touch else {}, rest=rest.limits if rest else {}
+    )
+    stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
+    made = _Made(calibration, result, fitted, touch, rest)
+    found = (sentence(warning, WITH_OPTIONS) for warning in result.warnings)
+    warnings = (*notes, *found, *(touch_warnings(touch) if touch else ()))
+    _print(args, stored, (*warnings, *(rest_warnings(rest) if rest else ())), _report(made))
+    if not args.json:
+        _print_lines(made)
+    return EXIT_FAILED if fitted and not fitted.networks else EXIT_OK
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Made:
+    """A new calibration, and all that is reported of how it was made."""
+
+    calibration: Calibration
+    result: CalibrationResult
+    fitted: FitResult | None
+    touch: Sequence[TouchResult]
+    rest: LearntRest | None
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """End with a usage error if an option would have no effect."""
     if args.false_contacts is not None and args.rest is None:
         args.parser.error("--false-contacts has no effect without --rest")
     if args.rezero is not None:
         for option, kept in _WITH_REZERO.items():
             if getattr(args, option):
                 args.parser.error(f"--{option} has no effect with --rezero, which keeps {kept}")
-        return _rezero(args)
+        return
     for option in ("depth_from_touch", "indenters"):
         if getattr(args, option) and not args.presses:
             args.parser.error(f"--{option.replace('_', '-')} has no effect without --presses")
     if args.touches and not args.fit:
         args.parser.error("--touches has no effect without --fit")
-    args.reference = images_in(args.reference)
-    sensor, references = read_sensor(args.sensor), _read_references(args.reference)
-    if args.fit and sensor.visible_half_angle_deg < FLAT_DEG:
+
+
+def _check_fit(path: Path, sensor: StatedSensor) -> None:
+    """Refuse a sensor that no fit can simulate, or a missing extra. Raises ConfigError."""
+    if sensor.visible_half_angle_deg < FLAT_DEG:
         raise ConfigError(
-            f"--fit: {args.sensor} states a pad or a dome of less than {FLAT_DEG:g} degrees, "
+            f"--fit: {path} states a pad or a dome of less than {FLAT_DEG:g} degrees, "
             "expected a rounder one: a fit simulates no twin of a flat skin"
         )
-    if args.fit:
-        need("--fit", "fit", "torch", "numba")  # large, and needed only here
-    touches = _read_touches(args.touches, references[0]) if args.touches else []
-    labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
-    presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
-    names = list(map(str, args.reference))
+    # Large, so an extra; asked for before minutes of work.
+    need("--fit", "fit", "torch", "numba")
+
+
+def _calibrate(
+    args: argparse.Namespace,
+    sensor: StatedSensor,
+    references: Sequence[U8],
+    presses: Sequence[KnownPress],
+) -> CalibrationResult:
+    """Calibrate with the networks as shipped, and draw what was found, if so asked."""
     try:
         result = calibrate(
             sensor,
@@ -154,58 +207,34 @@ def run(args: argparse.Namespace) -> int:
             presses,
             allow_loaded_reference=args.allow_loaded_reference,
             networks=load_networks(),
-            reference_names=names,
+            reference_names=list(map(str, args.reference)),
         )
     except ConfigError as error:
         if args.plot:
+            # The picture with its axes is what a person needs to state the circle.
             guess = error.guess if isinstance(error, CircleNotFoundError) else None
             _plot(args.plot, reference_picture(to_grey(references[0]), guess=guess))
         if not isinstance(error, FindingError):
             raise
         wording = replace(WITH_OPTIONS, sensor_file=str(args.sensor), press_table=str(args.presses))
         raise error.worded(wording) from None
-    calibration, fitted = result.calibration, None
     if args.plot:
-        places = places_px(calibration.geometry, result.presses)
-        _plot(args.plot, reference_picture(calibration.reference_grey, calibration, places))
-    if args.fit:
-        from tacshade_edge.lab.fitting.fit import fit
+        made = result.calibration
+        places = places_px(made.geometry, result.presses)
+        _plot(args.plot, reference_picture(made.reference_grey, made, places))
+    return result
 
-        say = partial(print, file=sys.stderr, flush=True)
-        folder = args.out.with_name(f"{args.out.name}.fit")
-        fitted = fit(calibration, result.presses, say, sensor.print_mm, folder, touches=touches)
-        calibration = fitted.calibration
-    touch = _learn(calibration, args.labels, labelled) if labelled else []
-    learnt = {one.profile: one.learnt.model for one in touch if one.learnt.model is not None}
-    rest = rest_of(args, calibration, references) if args.rest else None
-    calibration = replace(calibration, touch=learnt, rest=rest.limits if rest else {})
-    stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
-    verdict_line = sentence(result.quality.line, WITH_OPTIONS)
-    to_do = [sentence(advice, WITH_OPTIONS) for advice in result.quality.advice]
-    more: dict[str, Any] = {
-        "verdict": result.quality.grade,
-        "verdict_line": verdict_line,
-        "to_do": to_do,
-    }
-    more |= (_fit_report(fitted) if fitted else {}) | (_touch_report(touch) if touch else {})
-    more |= rest_report(rest) if rest else {}
-    found = [sentence(warning, WITH_OPTIONS) for warning in result.warnings]
-    warnings = (*notes, *found, *_touch_warnings(touch))
-    _print(args, stored, (*warnings, *(rest_warnings(rest) if rest else ())), more)
-    if not args.json:
-        for line in (line for one in touch for line in report_lines(one)):
-            print(line)
-        for line in rest_lines(rest, calibration, result.presses) if rest else ():
-            print(line)
-        print(f"{'as shipped, ' if fitted else ''}{verdict_line}")
-        if used := calibration.fit and calibration.fit.profiles.get(DEFAULT):
-            errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
-            print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
-        for line in (*fitted.found, *(report.line for report in fitted.networks)) if fitted else ():
-            print(line, file=sys.stdout if fitted and fitted.networks else sys.stderr)
-        for advice in (*(fitted.advice if fitted else ()), *to_do):
-            print(f"  to do: {advice}")
-    return 1 if fitted and not fitted.networks else 0
+
+def _fit(
+    out: Path, sensor: StatedSensor, result: CalibrationResult, touches: Sequence[U8]
+) -> FitResult:
+    """Train the networks on a simulated twin; finished steps stay beside `out`."""
+    from tacshade_edge.lab.fitting.fit import fit
+
+    say = partial(print, file=sys.stderr, flush=True)
+    # Steps of an interrupted fit are found by the name of its result.
+    folder = out.with_name(f"{out.name}.fit")
+    return fit(result.calibration, result.presses, say, sensor.print_mm, folder, touches=touches)
 
 
 def _plot(path: Path, picture: U8) -> None:
@@ -246,15 +275,12 @@ def _rezero(args: argparse.Namespace) -> int:
     old, inputs = loading.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
     try:
-        renewed = rezero(
-            old,
-            images,
-            list(map(str, args.reference)),
-            allow_loaded=args.allow_loaded_reference,
-        )
+        names = list(map(str, args.reference))
+        renewed = rezero(old, images, names, allow_loaded=args.allow_loaded_reference)
         # Keep even networks that cannot run: `doctor` then suggests a new fit.
         renewed = replace(renewed, fitted=calibration_file.fitted_in(args.rezero))
     except ConfigError as error:
+        # The references alone give no hint at which calibration they were held against.
         raise ConfigError(f"{args.rezero}: {error}") from None
     disc = old.geometry.disc
     found = camera_drift.drift(
@@ -262,14 +288,15 @@ def _rezero(args: argparse.Namespace) -> int:
     )
     changes = (camera_drift.shift_reason(found, disc), found.light_reason)
     warnings = [f"{change} since {args.rezero}" for change in changes if change]
-    names = {"moved_px": 2, "light": 3, "contrast": 3}
-    changed = {name: round(getattr(found, name), digits) for name, digits in names.items()}
+    digits_of = {"moved_px": 2, "light": 3, "contrast": 3}
+    changed = {name: round(getattr(found, name), digits) for name, digits in digits_of.items()}
     more: dict[str, Any] = {**changed}
     rest = rest_of(args, renewed, images) if args.rest else None
     if rest:
         renewed = replace(renewed, rest=rest.limits)
         warnings += rest_warnings(rest)
         more |= rest_report(rest)
+    # A file that holds no inputs can still be re-zeroed, but not made again by a later version.
     stored = calibration_file.save(args.out, renewed, inputs and with_new_reference(inputs, images))
     _print(args, stored, warnings, more)
     for line in rest_lines(rest, renewed) if rest and not args.json else ():
@@ -282,11 +309,12 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
         references = [read_image(path) for path in paths]
     except DecodeError as error:
         raise ConfigError(f"--reference: {error}") from None
-    first = _size(references[0])
+    # Here, and not where they are averaged: the message can name the file.
+    first = size_text(references[0])
     for path, image in zip(paths, references, strict=True):
-        if _size(image) != first:
+        if size_text(image) != first:
             expected = f"expected {first} px as in the first reference"
-            raise ConfigError(f"--reference: {path}: found {_size(image)} px, {expected}")
+            raise ConfigError(f"--reference: {path}: found {size_text(image)} px, {expected}")
     return references
 
 
@@ -297,17 +325,11 @@ def _read_touches(paths: Sequence[Path], reference: U8) -> list[U8]:
             image = read_image(path)
         except DecodeError as error:
             raise ConfigError(f"--touches: {error}") from None
-        if _size(image) != _size(reference):
-            raise ConfigError(
-                f"--touches: {path}: found {_size(image)} px, expected {_size(reference)} px as "
-                "in the references"
-            )
+        if size_text(image) != size_text(reference):
+            expected = f"expected {size_text(reference)} px as in the references"
+            raise ConfigError(f"--touches: {path}: found {size_text(image)} px, {expected}")
         made.append(image)
     return made
-
-
-def _size(image: U8) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def _print(
@@ -338,85 +360,42 @@ def _print(
         print(f"  {key}: {value:.4g}" if isinstance(value, float) else f"  {key}: {value}")
 
 
+def _report(made: _Made) -> dict[str, Any]:
+    """What ``--json`` prints beyond the calibration's own figures."""
+    quality = made.result.quality
+    report: dict[str, Any] = {
+        "verdict": quality.grade,
+        "verdict_line": sentence(quality.line, WITH_OPTIONS),
+        "to_do": [sentence(advice, WITH_OPTIONS) for advice in quality.advice],
+    }
+    report |= _fit_report(made.fitted) if made.fitted else {}
+    report |= touch_report(made.touch) if made.touch else {}
+    return report | (rest_report(made.rest) if made.rest else {})
+
+
+def _print_lines(made: _Made) -> None:
+    """Print what was learnt, how good the calibration is, and what would make it better."""
+    quality, fitted, fit = made.result.quality, made.fitted, made.calibration.fit
+    for one in made.touch:
+        print(*report_lines(one), sep="\n")
+    if made.rest:
+        print(*rest_lines(made.rest, made.calibration, made.result.presses), sep="\n")
+    print(f"{'as shipped, ' if fitted else ''}{sentence(quality.line, WITH_OPTIONS)}")
+    if used := fit and fit.profiles.get(DEFAULT):
+        errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
+        print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
+    if fitted:
+        # Without networks, these lines are why the command fails.
+        stream = sys.stdout if fitted.networks else sys.stderr
+        for line in (*fitted.found, *(report.line for report in fitted.networks)):
+            print(line, file=stream)
+    to_do = (sentence(advice, WITH_OPTIONS) for advice in quality.advice)
+    for advice in (*(fitted.advice if fitted else ()), *to_do):
+        print(f"  to do: {advice}")
+
+
 def _fit_report(fitted: FitResult) -> dict[str, Any]:
     reports = {report.name: asdict(report) | {"kept": report.kept} for report in fitted.networks}
     for report in reports.values():
         del report["name"]
     return {"fitted": reports, "fit_found": list(fitted.found), "fit_to_do": list(fitted.advice)}
-
-
-def _learn(
-    calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]
-) -> list[TouchResult]:
-    """Learn a touch model per profile.
-
-    Raises ConfigError for an unreadable image or too few rows of every quantity.
-    """
-    counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
-    if max(counts.values()) < LEAST_ROWS:
-        found = ", ".join(
-            f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count
-        )
-        raise ConfigError(
-            f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity"
-        )
-    size = f"{calibration.image_width_px}x{calibration.image_height_px}"
-    results, progress = [], Progress()
-    for profile in PROFILES.values():
-        if profile.network is not None:
-            frames = _frames(labelled, size, partial(progress, f"frames ({profile.name})"))
-            results.append(learn_touch(calibration, profile, frames))
-    progress.end()
-    if not any(one.learnt.reports for one in results):
-        raise ConfigError(
-            f"{table}: cannot learn any quantity: {'; '.join(_touch_warnings(results[:1]))}"
-        )
-    return results
-
-
-def _frames(
-    labelled: Sequence[LabelledImage], size: str, report: Callable[[int, int], None]
-) -> Iterator[LabelledFrame]:
-    for done, row in enumerate(labelled, start=1):
-        try:
-            image = read_image(row.path)
-        except DecodeError as error:
-            raise ConfigError(f"{row.where}: image: {error}") from None
-        if _size(image) != size:
-            raise ConfigError(
-                f"{row.where}: image: {row.path}: found {_size(image)} px, expected {size} px"
-            )
-        yield LabelledFrame(row.where, image, row.known, row.group)
-        report(done, len(labelled))
-
-
-def _touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
-    """Return warnings about frames that were left out and quantities with too few rows."""
-    lines = []
-    for one in results:
-        if one.left_out:
-            shown = "; ".join(one.left_out[:_SHOWN]) + (
-                "; ..." if len(one.left_out) > _SHOWN else ""
-            )
-            lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
-        for name, (rows, groups) in one.too_few.items():
-            found = f"found {rows} usable rows in {groups} groups"
-            expected = (
-                f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups, of different values"
-            )
-            lines.append(f"{one.profile}: {name}: {found}, {expected}; left out")
-    return tuple(lines)
-
-
-def _touch_report(results: Sequence[TouchResult]) -> dict[str, Any]:
-    touch = {}
-    for one in results:
-        reports = {each.name: asdict(each) for each in one.learnt.reports}
-        for report in reports.values():
-            report["contradicting"] = [one.names[row] for row in report["contradicting"]]
-        touch[one.profile] = {
-            "frames": len(one.names),
-            "left_out": list(one.left_out),
-            "quantities": reports,
-        }
-    return {"touch": touch}

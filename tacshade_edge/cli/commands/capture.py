@@ -121,15 +121,7 @@ def run(args: argparse.Namespace) -> int:
                 CaptureSession(folder, sensor, live, terminal, plan, indenters, places).run()
             else:
                 labels = RobotLabels(sensor, pose_at) if pose_at else None
-                no_scale = contextlib.nullcontext()
-                reader = (
-                    no_scale
-                    if args.scale is None
-                    else contextlib.closing(Scale(scale_port(args.scale)))
-                )
-                with reader as scale:
-                    if scale is not None:
-                        scale.open()
+                with _scale(args.scale) as scale:
                     LabelSession(LabelFolder(args.labels), live, terminal, scale, labels).run()
     except InputEnded:
         terminal.say("")
@@ -145,6 +137,17 @@ def run(args: argparse.Namespace) -> int:
         raise DeviceError(f"{error}; {again}", code=error.code) from None
     _say_next(folder, terminal, labels=args.labels is not None)
     return 0
+
+
+@contextlib.contextmanager
+def _scale(device: str | None) -> Iterator[Scale | None]:
+    """Open the scale; yields None without one."""
+    if device is None:
+        yield None
+        return
+    with contextlib.closing(Scale(scale_port(device))) as scale:
+        scale.open()
+        yield scale
 
 
 @contextlib.contextmanager

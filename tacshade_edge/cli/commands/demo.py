@@ -10,7 +10,6 @@ import signal
 import socket
 import sys
 import tempfile
-import threading
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -28,6 +27,9 @@ HTTP: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
 STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+_ME: Final = (sys.executable, "-m", "tacshade_edge")
+_TOKEN: Final = "token"
 
 _SETTINGS = """\
 sensor_id: demo
@@ -50,100 +52,128 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
     need("demo", "demo", "websockets")  # before a minute of work
-    asked = threading.Event()
+    interrupt = _Interrupt()
+    http = _free(args.listen, HTTP) if args.http is None else args.http
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
+        (folder / "recordings").mkdir()
+        children = _Children(folder, stack)
+        mqtt = free_port()
+        broker = children.start("broker", broker_command(folder, mqtt))
+        token = None if is_loopback(args.listen) else make_token(folder / _TOKEN)
+        page = _page_command(args.listen, http, mqtt, folder)
+        dashboard = children.start("dashboard", [*_ME, *page])
+        print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
+        calibration_file.save(folder / "calibration.npz", make_calibration())
+        interrupt.check()
+        settings = demo_hand.write(folder, mqtt) if args.hand else _write_settings(folder, mqtt)
+        interrupt.check()
+        # A daemon that finds no broker waits for a second before it tries again.
+        wait_for_port(broker, mqtt, START_S)
+        children.start("daemon", [*_ME, "run", "--config", str(settings)])
+        local = "127.0.0.1" if args.listen in ANY else args.listen
+        wait_for_port(dashboard, http, START_S, local)
+        _say_where(args, http, mqtt, token)
+        _play(args, children, interrupt, mqtt)
+    return 0
 
-    def stop(*_: object) -> None:
-        """Interrupt the current work and stop the children;
-        a second Ctrl-C does not interrupt that.
-        """
+
+class _Interrupt:
+    """Turns the signals that end the demo into one KeyboardInterrupt."""
+
+    def __init__(self) -> None:
+        self._is_asked = False
         for number in STOP_SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-        asked.set()
-        raise KeyboardInterrupt
+            signal.signal(number, self._stop)
 
-    def end_if_asked() -> None:
+    def check(self) -> None:
         """Raise the interrupt again if it was lost, as it is when raised in a destructor
         or a library's callback.
         """
-        if asked.is_set():
+        if self._is_asked:
             raise KeyboardInterrupt
 
-    for number in STOP_SIGNALS:
-        signal.signal(number, stop)
-    me = [sys.executable, "-m", "tacshade_edge"]
-    host = args.listen
-    http = _free(host, HTTP) if args.http is None else args.http
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
-        children: list[Child] = []
+    def _stop(self, *_: object) -> None:
+        # A second Ctrl-C must not interrupt the stopping of the children, which would then stay.
+        for number in STOP_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        self._is_asked = True
+        raise KeyboardInterrupt
 
-        def start(name: str, command: list[str]) -> Child:
-            child = Child(name, command, folder)
-            stack.callback(child.stop)  # the last started is stopped first
-            children.append(child)
-            return child
 
-        mqtt = free_port()
-        broker = start("broker", broker_command(folder, mqtt))
-        (folder / "recordings").mkdir()
-        page = [
-            *me,
-            "dashboard",
-            "--broker",
-            f"127.0.0.1:{mqtt}",
-            "--http",
-            str(http),
-            "--host",
-            host,
-        ]
-        page += ["--recordings", str(folder / "recordings")]
-        path = f"#hand/{demo_hand.HAND_ID}" if args.hand else ""
-        if not is_loopback(host):
-            # The sensor is simulated, so anyone with the address may control it.
-            path = f"login#{make_token(folder / 'token')}"
-            page += ["--token-file", str(folder / "token"), "--allow-control"]
-        dashboard = start("dashboard", page)
-        print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
-        calibration_file.save(folder / "calibration.npz", make_calibration())
-        end_if_asked()
-        if args.hand:
-            settings = demo_hand.write(folder, mqtt)
-            what = "Five simulated fingers hold a bottle, which soon moves"
-        else:
-            settings = folder / "settings.yaml"
-            settings.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
-            what = "A simulated sensor presses and drags objects; soon a second one stitches a map"
-        end_if_asked()
-        wait_for_port(broker, mqtt, START_S)
-        start("daemon", [*me, "run", "--config", str(settings)])
-        wait_for_port(dashboard, http, START_S, "127.0.0.1" if host in ANY else host)
-        name = socket.gethostname() if host in ANY else host
-        print(f"{what}: open http://{in_url(name)}:{http}/{path}", flush=True)
-        if not is_loopback(host):
-            print(
-                "No encryption: others on the network can read the address and the page.",
-                flush=True,
-            )
-        print(
-            f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.",
-            flush=True,
+class _Children:
+    """The processes of the demo; the last started is stopped first."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self.folder = folder
+        self.stack = stack
+        self._all: list[Child] = []
+
+    def start(self, name: str, command: list[str]) -> Child:
+        child = Child(name, command, self.folder)
+        self.stack.callback(child.stop)
+        self._all.append(child)
+        return child
+
+    def check(self) -> None:
+        """Raise DeviceError if one has ended by itself."""
+        for child in self._all:
+            child.check()
+
+
+def _page_command(host: str, http: int, mqtt: int, folder: Path) -> list[str]:
+    broker, recordings = f"127.0.0.1:{mqtt}", str(folder / "recordings")
+    page = ["dashboard", "--broker", broker, "--http", str(http), "--host", host]
+    page += ["--recordings", recordings]
+    if not is_loopback(host):
+        # The sensor is simulated, so anyone with the address may control it.
+        page += ["--token-file", str(folder / _TOKEN), "--allow-control"]
+    return page
+
+
+def _write_settings(folder: Path, mqtt: int) -> Path:
+    path = folder / "settings.yaml"
+    path.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+    return path
+
+
+def _say_where(args: argparse.Namespace, http: int, mqtt: int, token: str | None) -> None:
+    """Print the address to open, with the token if the page needs one."""
+    what = "A simulated sensor presses and drags objects; soon a second one stitches a map"
+    path = ""
+    if args.hand:
+        what = "Five simulated fingers hold a bottle, which soon moves"
+        path = f"#hand/{demo_hand.HAND_ID}"
+    if token is not None:
+        path = f"login#{token}"
+    name = socket.gethostname() if args.listen in ANY else args.listen
+    print(f"{what}: open http://{in_url(name)}:{http}/{path}", flush=True)
+    if token is not None:
+        print("No encryption: others on the network can read the address and the page.", flush=True)
+    print(
+        f"Other programs can listen to the broker 127.0.0.1:{mqtt}.\nPress Ctrl-C to stop.",
+        flush=True,
+    )
+
+
+def _play(args: argparse.Namespace, children: _Children, interrupt: _Interrupt, mqtt: int) -> None:
+    """Move the hand or stitch the map, step by step, until the time is over."""
+    if args.hand:
+        other, period_s = demo_hand.play(children.folder), demo_hand.STEP_S
+    else:
+        other = touchpad.hand(
+            children.folder,
+            mqtt,
+            lambda config: children.start("map", [*_ME, "run", "--config", str(config)]),
         )
-        if args.hand:
-            other, period_s = demo_hand.play(folder), demo_hand.STEP_S
-        else:
-            other = touchpad.hand(
-                folder, mqtt, lambda config: start("map", [*me, "run", "--config", str(config)])
-            )
-            period_s = CHECK_PERIOD_S
-        stack.callback(other.close)
-        deadline_s = time.monotonic() + args.seconds
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            time.sleep(min(period_s, left_s))
-            end_if_asked()
-            for child in children:
-                child.check()
-            next(other)
-    return 0
+        period_s = CHECK_PERIOD_S
+    children.stack.callback(other.close)
+    deadline_s = time.monotonic() + args.seconds
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        time.sleep(min(period_s, left_s))
+        interrupt.check()
+        children.check()
+        next(other)
 
 
 def _free(host: str, port: int) -> int:

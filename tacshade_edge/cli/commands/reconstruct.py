@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import io
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tacshade_edge.calibration import loading
+from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_outline, add_profile
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError, DecodeError
@@ -22,7 +26,7 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.recording.runs import summary
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import profile_with
-from tacshade_edge.types import Frame, Reconstruction
+from tacshade_edge.types import Calibration, Frame, Reconstruction
 
 SHEET = "contact-sheet.png"
 
@@ -55,71 +59,84 @@ def run(args: argparse.Namespace) -> int:
     """Reconstruct every image; report each unreadable or invalid one, continue,
     and then return 1.
     """
-    images, stems = images_in(args.images), set[str]()
+    images = images_in(args.images)
+    _check_names(images)
+    calibration = loading.load(args.calibration)
+    done = _Done()
+    with disk_errors(args.out):
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / _SUMMARY).unlink(missing_ok=True)  # it describes all files beside it
+        _reconstruct(args, calibration, images, done)
+        if done.tiles:
+            write_picture(args.out / SHEET, contact_sheet(done.tiles))
+        text = json.dumps(done.records, indent=2) + "\n"
+        write_whole(args.out / _SUMMARY, text.encode())
+    print(text if args.json else f"{args.out}: {done.in_words(len(images))}\n", end="")
+    return EXIT_FAILED if done.invalid or done.unreadable else EXIT_OK
+
+
+@dataclass(slots=True)
+class _Done:
+    """What the images gave so far."""
+
+    records: list[dict[str, Any]] = field(default_factory=list)
+    tiles: list[Tile] = field(default_factory=list)
+    unreadable: int = 0
+    invalid: int = 0
+
+    def in_words(self, images: int) -> str:
+        """The counts in one line."""
+        contacts, unmeasured = (
+            sum(record[name] for record in self.records) for name in ("contact", "touched")
+        )
+        measured = len(self.records) - self.invalid
+        found = f"{measured} of {images} images reconstructed, {contacts} in contact"
+        found += f", {unmeasured} touched (depth unknown)" if unmeasured else ""
+        return f"{found}, {self.invalid} invalid, {self.unreadable} unreadable"
+
+
+def _check_names(images: Sequence[Path]) -> None:
+    """Refuse images whose results would have the same name. Raises ConfigError."""
+    stems = set[str]()
     for path in images:
         if path.stem in stems:
             why = "the results of one would overwrite those of the other"
             raise ConfigError(f"{path}: another image is also named {path.stem}; {why}")
         stems.add(path.stem)
-    calibration = loading.load(args.calibration)
+
+
+def _reconstruct(
+    args: argparse.Namespace, calibration: Calibration, images: Sequence[Path], done: _Done
+) -> None:
+    """Reconstruct each image, write its files, and add what it gave to `done`."""
     reconstructor = make_reconstructor(calibration, profile_with(args.profile, args.outline))
-    records, unreadable, invalid, progress, tiles, timer = (
-        [],
-        0,
-        0,
-        Progress(),
-        list[Tile](),
-        StageTimer(),
-    )
-    on_sheet = {
-        index * len(images) // SHEET_TILES for index in range(SHEET_TILES)
-    }  # all, or evenly spread
-    with disk_errors(args.out):
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / _SUMMARY).unlink(missing_ok=True)  # it describes all files beside it
-        for index, path in enumerate(images):
-            try:
-                image = read_image(path)
-            except DecodeError as error:
-                progress.warn(error)
-                unreadable += 1
-                continue
-            timer.begin()
-            result = reconstructor.step(
-                Frame(seq=index, t_ns=0, wall_ns=0, image=image), timer.mark
-            )
-            timer.ms["total"] = sum(timer.ms.values())
-            elapsed_ms = {stage: round(ms, 4) for stage, ms in timer.ms.items()}
-            _write(args.out / f"{path.stem}.npz", result)
-            if args.plot:
-                write_picture(
-                    args.out / f"{path.stem}.png", panel(image, result, calibration.geometry)
-                )
-                if index in on_sheet:
-                    tiles.append(tile(path.stem, image, result))
-            records.append(
-                {"image": encodable(str(path)), **summary(result), "elapsed_ms": elapsed_ms}
-            )
-            if not result.valid:  # its record reports this too, and its height is 0 everywhere
-                progress.warn(f"{path}: invalid: {text_of(result.reason)}")
-                invalid += 1
-            progress("images", index + 1, len(images))
-        if tiles:
-            write_picture(args.out / SHEET, contact_sheet(tiles))
-        text = json.dumps(records, indent=2) + "\n"
-        write_whole(args.out / _SUMMARY, text.encode())
+    # All, or evenly spread.
+    on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}
+    progress, timer = Progress(), StageTimer()
+    for index, path in enumerate(images):
+        try:
+            image = read_image(path)
+        except DecodeError as error:
+            progress.warn(error)
+            done.unreadable += 1
+            continue
+        timer.begin()
+        result = reconstructor.step(Frame(seq=index, t_ns=0, wall_ns=0, image=image), timer.mark)
+        timer.ms["total"] = sum(timer.ms.values())
+        elapsed_ms = {stage: round(ms, 4) for stage, ms in timer.ms.items()}
+        _write(args.out / f"{path.stem}.npz", result)
+        if args.plot:
+            drawn = panel(image, result, calibration.geometry)
+            write_picture(args.out / f"{path.stem}.png", drawn)
+            if index in on_sheet:
+                done.tiles.append(tile(path.stem, image, result))
+        named = encodable(str(path))
+        done.records.append({"image": named, **summary(result), "elapsed_ms": elapsed_ms})
+        if not result.valid:  # its record reports this too, and its height is 0 everywhere
+            progress.warn(f"{path}: invalid: {text_of(result.reason)}")
+            done.invalid += 1
+        progress("images", index + 1, len(images))
     progress.end()
-    if args.json:
-        print(text, end="")
-    else:
-        contacts, unmeasured = (
-            sum(record[name] for record in records) for name in ("contact", "touched")
-        )
-        measured = len(records) - invalid
-        found = f"{measured} of {len(images)} images reconstructed, {contacts} in contact"
-        found += f", {unmeasured} touched (depth unknown)" if unmeasured else ""
-        print(f"{args.out}: {found}, {invalid} invalid, {unreadable} unreadable")
-    return 1 if invalid or unreadable else 0
 
 
 def _write(path: Path, result: Reconstruction) -> None:

@@ -8,6 +8,7 @@ import re
 import signal
 
 from tacshade_edge.calibration import loading
+from tacshade_edge.cli import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from tacshade_edge.cli.shared.options import (
     COUNT,
     POSITIVE,
@@ -28,6 +29,7 @@ from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_
 from tacshade_edge.recording.runs import RunWriter, figures, first_difference
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.settings import load
 
 
@@ -86,14 +88,14 @@ def run(args: argparse.Namespace) -> int:
     """Replay a recording, compare two runs, or both; return 1 if the runs differ."""
     if mistake := _mistake(args):
         args.parser.error(mistake)
-    code = 0 if args.input is None else _replay(args)
+    code = EXIT_OK if args.input is None else _replay(args)
     if args.against is None:
         return code
     if difference := first_difference(args.out, args.against):
         print(f"{args.out} differs from {args.against}: {difference}")
         for line in figures(args.out, args.against):
             print(f"  {line}")
-        return 1
+        return EXIT_FAILED
     print(f"{args.out} is the same as {args.against}")
     return code
 
@@ -134,39 +136,25 @@ def _mistake(args: argparse.Namespace) -> str:
 
 
 def _replay(args: argparse.Namespace) -> int:
-    broker, given = _broker(args), args.calibration
-    recording = Recording(args.input, fps=args.fps, times=args.loop)
-    if recording.cut_off:
-        warn(f"{args.input}: the recording was cut off; replaying what was written until then")
-    if recording.damage:
-        warn(recording.damage)
+    broker = _broker(args)
+    recording = _opened(args)
+    given = args.calibration
     calibration = loading.of_recording(args.input) if given is None else loading.load(given)
     assert calibration is not None  # `_mistake` has checked it
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
-    for number in (
-        signal.SIGTERM,
-        signal.SIGINT,
-    ):  # SIGINT too: a shell's background jobs start with it ignored
+    # SIGINT too: a shell's background jobs start with it ignored.
+    for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, signal.default_int_handler)
-    progress, shown, interrupted = PlaybackProgress(), Shown(), False
+    progress, shown, is_interrupted = PlaybackProgress(), Shown(), False
     sinks: list[Deliver] = []
     played: Recording | Playback = recording
+    link = writer = None
     with contextlib.ExitStack() as stack:
         if broker is not None:
-            wait = args.speed is None and not args.play
-            link = ReplayLink(
-                broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=wait
-            )
-            stack.callback(link.stop)
-            link.start()
+            link = _started_link(args, broker, reconstructor, stack)
             sinks.append(link.add)
             if args.play:
-                played = Playback(
-                    lambda: Recording(args.input, fps=args.fps),
-                    args.speed or 1.0,
-                    link.report_playback,
-                )
-                link.playback = played
+                played = link.playback = _playback(args, link)
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             stack.callback(writer.discard)
@@ -178,29 +166,63 @@ def _replay(args: argparse.Namespace) -> int:
         try:
             replay(played, reconstructor, sinks, progress, speed=speed, undecodable=shown.warn)
         except KeyboardInterrupt:
-            interrupted = True
+            is_interrupted = True
         shown.end()
-        if args.out is not None and not interrupted:
+        if writer is not None and not is_interrupted:
             writer.finish(progress.as_dict())
+    _print_counts(args, progress, link)
+    if is_interrupted:
+        if writer is not None:
+            warn(f"{args.out}: stopped before the end and wrote nothing")
+        # What never ends by itself is not cut short by Ctrl-C.
+        return EXIT_OK if args.loop == 0 or args.play else EXIT_INTERRUPTED
+    return EXIT_FAILED if progress.undecodable else EXIT_OK
+
+
+def _opened(args: argparse.Namespace) -> Recording:
+    recording = Recording(args.input, fps=args.fps, times=args.loop)
+    if recording.cut_off:
+        warn(f"{args.input}: the recording was cut off; replaying what was written until then")
+    if recording.damage:
+        warn(recording.damage)
+    return recording
+
+
+def _started_link(
+    args: argparse.Namespace,
+    broker: BrokerAddress,
+    reconstructor: Reconstructor,
+    stack: contextlib.ExitStack,
+) -> ReplayLink:
+    # At no speed of its own, a replay waits until the broker has each frame, and drops none.
+    wait = args.speed is None and not args.play
+    link = ReplayLink(
+        broker=broker, sensor_id=args.sensor_id, reconstructor=reconstructor, wait=wait
+    )
+    stack.callback(link.stop)
+    link.start()
+    return link
+
+
+def _playback(args: argparse.Namespace, link: ReplayLink) -> Playback:
+    return Playback(
+        lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback
+    )
+
+
+def _print_counts(
+    args: argparse.Namespace, progress: PlaybackProgress, link: ReplayLink | None
+) -> None:
     print(
         f"{args.input}: {counted(progress.frames, 'frame')}, {progress.answers}, "
         f"{progress.invalid} invalid, {progress.undecodable} unreadable; "
         f"{progress.recorded_seconds:.2f} s of recording in {progress.seconds:.2f} s, "
         f"{progress.speed_up:.2f} times real time"
     )
-    if broker is not None:
+    if link is not None:
         counts = link.counters()
-        print(
-            ", ".join(
-                f"{counts[name]} payloads {name}"
-                for name in ("published", "superseded", "failed", "refused")
-            )
-        )
-    if interrupted:
-        if args.out is not None:
-            warn(f"{args.out}: stopped before the end and wrote nothing")
-        return 0 if args.loop == 0 or args.play else 130
-    return 1 if progress.undecodable else 0
+        names = ("published", "superseded", "failed", "refused")
+        print(", ".join(f"{counts[name]} payloads {name}" for name in names))
 
 
 def _broker(args: argparse.Namespace) -> BrokerAddress | None:

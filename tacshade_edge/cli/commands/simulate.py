@@ -55,8 +55,10 @@ calibration: calibration.npz
 source: {kind: simulated}
 recorder: {folder: recordings}
 """
+_NO_OBJECT = "none"
 _SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
 _PAD_SEED, _PAD_DEPTH_MM = 500_000, 2.7  # deep: below the bulges' tops
+_PAD_STEP_LEAST_MM, _PAD_STEP_MOST_MM = 0.5, 20.0
 _TRUTH_STEP_MM = 0.25
 # Standard deviations of the noise in POSES_NOISY.csv:
 # along each axis, and about a random one through the skin's apex.
@@ -110,6 +112,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0
     )
+    _add_sensor_options(parser)
+    add_cluster(parser)
+
+
+def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
     add_option(
         which, "--sensor-seed", "N", "another sensor of the family, drawn with this seed", COUNT
@@ -128,7 +135,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="dome",
         help="dome (default), or pad, the same but flat",
     )
-    add_cluster(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -212,9 +218,9 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
 def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     names = [name.strip() for name in args.objects.split(",")]
     for name in names:
-        if name not in OBJECTS and name != "none":
+        if name not in OBJECTS and name != _NO_OBJECT:
             raise ConfigError(
-                f"--objects: found {name!r}, expected 'none' or one of {', '.join(OBJECTS)}"
+                f"--objects: found {name!r}, expected {_NO_OBJECT!r} or one of {', '.join(OBJECTS)}"
             )
     nowhere = [(0.0, 0.0)]
     places, tilts, drags = (given or nowhere for given in (args.position, args.tilt, args.drag))
@@ -226,14 +232,14 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     scenes = [
         (name, each)
         for name in names
-        for each in (pressed if name != "none" else [(0.0,) * len(PRESS_KEYS)])
+        for each in (pressed if name != _NO_OBJECT else [(0.0,) * len(PRESS_KEYS)])
     ]
     args.out.mkdir(parents=True, exist_ok=True)
     rows, progress = [], Progress()
     scale = 1.0 if args.model == MODELS[0] else OBJECT_SCALE
     for k, (name, numbers) in enumerate(scenes):
         known = dict(zip(PRESS_KEYS, numbers, strict=True))
-        objects = () if name == "none" else (Press(OBJECTS[name](), **known, scale=scale),)
+        objects = () if name == _NO_OBJECT else (Press(OBJECTS[name](), **known, scale=scale),)
         frame = sensor.frame(objects, args.seed * _SEED_STRIDE + k)
         stem = f"{k:03d}_{name}"
         (args.out / f"{stem}.png").write_bytes(png(frame.image))
@@ -292,8 +298,9 @@ def write_pad(
     Raises OSError.
     """
     pad, apex_mm = pads.touchpad(), model.geometry.apex_z_mm
-    if not 0.5 <= step_mm <= 20:
-        raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, expected 0.5 to 20 mm")
+    if not _PAD_STEP_LEAST_MM <= step_mm <= _PAD_STEP_MOST_MM:
+        expected = f"expected {_PAD_STEP_LEAST_MM:g} to {_PAD_STEP_MOST_MM:g} mm"
+        raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, {expected}")
     poses = pads.scan(pad, step_mm, depth_mm, apex_mm)
     folder.mkdir(parents=True, exist_ok=True)
     _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide

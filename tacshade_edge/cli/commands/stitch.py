@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tacshade_edge.calibration import loading
+from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
@@ -30,10 +31,16 @@ from tacshade_edge.recording.frame_table import read_poses
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.stitching.flange import ContactFrame, delay_seen, find_flange, unseen
+from tacshade_edge.stitching.flange import (
+    ContactFrame,
+    FoundFlange,
+    delay_seen,
+    find_flange,
+    unseen,
+)
 from tacshade_edge.stitching.map_files import FLANGE, press_record, write_flange, write_map
 from tacshade_edge.stitching.refinement import correction
-from tacshade_edge.stitching.stitcher import FinishedMap
+from tacshade_edge.stitching.stitcher import FinishedMap, Raster, Stitcher
 
 TILES, MEAN = "tiles", "mean"
 PRESSES_MIN = 12
@@ -93,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         for reason in unread:
             warn(f"{args.recording}: {reason.text}")
         report_flange(found, start, apex_mm, args.out, where, as_json=args.json)
-        return 1 if unread else 0
+        return EXIT_FAILED if unread else EXIT_OK
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
     else:
@@ -107,11 +114,22 @@ def run(args: argparse.Namespace) -> int:
         report_flange(
             frames_of_presses(presses, start), start, apex_mm, args.out, where, as_json=args.json
         )
-        return 1 if failed else 0
+        return EXIT_FAILED if failed else EXIT_OK
     stitcher = stitcher_of(presses, apex_mm)
     if stitcher.presses == 0:
         why = presses[0].skipped if presses else "no contact settled"
         raise ConfigError(f"{where}: found no usable press: {why}")
+    _write_map(args, presses, stitcher, known)
+    return EXIT_FAILED if failed else EXIT_OK
+
+
+def _write_map(
+    args: argparse.Namespace,
+    presses: Sequence[MapPress],
+    stitcher: Stitcher,
+    known: Raster | None,
+) -> None:
+    """Write and print the map, scored against the known surface if there is one."""
     pictures = {}
     finished = averaged(presses) if args.fusion == MEAN else stitcher.finish()
     about = {"profile": args.profile, "fusion": args.fusion, **_details(presses, finished)}
@@ -127,7 +145,6 @@ def run(args: argparse.Namespace) -> int:
         print((args.out / "map.json").read_text(encoding="utf-8"), end="")
     else:
         _print(args.out, about)
-    return 1 if failed else 0
 
 
 def _print(out: Path, about: dict[str, Any]) -> None:
@@ -143,7 +160,7 @@ def _print(out: Path, about: dict[str, Any]) -> None:
             print(f"  {name}: {_line(about[key])}")
 
 
-def _details(presses: list[MapPress], finished: FinishedMap) -> dict[str, Any]:
+def _details(presses: Sequence[MapPress], finished: FinishedMap) -> dict[str, Any]:
     placed = iter(finished.presses)
     records = []
     for press in presses:
@@ -198,8 +215,7 @@ def report_flange(
             f"the calibration's, expected at most {START_MM:g} mm and {START_DEG:g} degrees; is "
             "base_T_flange in mm?"
         )
-    seen = delay_seen(found)
-    write_flange(out, found, delay_seen=seen, presses=presses, frames=len(frames))
+    write_flange(out, found, delay_seen=delay_seen(found), presses=presses, frames=len(frames))
     if as_json:
         print((out / FLANGE).read_text(encoding="utf-8"), end="")
         return
@@ -207,11 +223,16 @@ def report_flange(
         f"{out / FLANGE}: {presses} presses; {moved_mm:.2f} mm and {turned_deg:.2f} degrees from "
         "the calibration's"
     )
+    _print_flange(found)
+
+
+def _print_flange(found: FoundFlange) -> None:
+    """Print the line for SENSOR.yaml, and the delay."""
     sigma = np.sqrt(np.diag(found.covariance))
     values = ", ".join(f"{value:.6g}" for value in found.flange_T_sensor.seven())
     within = f"within {max(sigma[:3]):.2f} mm, {max(sigma[3:6]):.2f} degrees (standard deviation)"
     print(f"in SENSOR.yaml, then calibrate again: flange_T_sensor: [{values}]  # {within}")
-    if seen:
+    if delay_seen(found):
         print(
             f"delay: frames are stamped {found.delay_ms:.1f} ms (± {sigma[6]:.1f}) "
             "later than the robot's poses"

@@ -12,6 +12,7 @@ from typing import Final, TextIO
 
 PERIOD_S: Final = 10.0
 _TERMINAL_PERIOD_S: Final = 0.1
+_MINUTES_FROM_S: Final = 90.0
 _ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is estimated
 
 
@@ -49,7 +50,11 @@ class Progress:
         passed_s = now_s - self._began_s
         if total and done and passed_s > _ESTIMATE_AFTER_S:
             left_s = passed_s * (total - done) / done
-            text += f", {left_s:.0f} s left" if left_s < 90 else f", {left_s / 60:.0f} min left"
+            text += (
+                f", {left_s:.0f} s left"
+                if left_s < _MINUTES_FROM_S
+                else f", {left_s / 60:.0f} min left"
+            )
         if not self._live:
             print(text, file=self._stream, flush=True)
             return

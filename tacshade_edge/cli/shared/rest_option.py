@@ -24,6 +24,7 @@ IMAGES_MAX = 300
 """More are thinned evenly: neighbours in a stream show the same, and each takes 20 ms."""
 REFERENCES_LEAST = 5
 """Fewer references are too much like their own mean to count as frames at rest."""
+_RATE_LEAST, _RATE_MOST = 1e-9, 0.1
 _SHOWN = 3
 
 
@@ -40,7 +41,7 @@ def _rate(text: str) -> float:
         rate = float(text)
     except ValueError:
         rate = math.nan
-    if not 1e-9 <= rate <= 0.1:
+    if not _RATE_LEAST <= rate <= _RATE_MOST:
         raise argparse.ArgumentTypeError(f"found {text}, expected 1e-9 to 0.1")
     return rate
 
