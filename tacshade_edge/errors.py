@@ -14,6 +14,7 @@ from .reasons import Reason, ReasonCode
 class TacshadeError(Exception):
     """The base class: one line of text, and a code for programs, by default the class's own."""
 
+    # Of each class, so that no error is without a code, whoever raises it.
     _code: ClassVar[ReasonCode]
 
     def __init__(self, text: str, *, code: ReasonCode | None = None) -> None:
@@ -34,6 +35,7 @@ class ConfigError(TacshadeError):
     """
 
     _code = ReasonCode.CONFIG
+    # A table of 10 000 bad rows must not fill a terminal or a journal.
     _OTHERS_MAX: ClassVar[int] = 50
 
     def __init__(
@@ -42,6 +44,7 @@ class ConfigError(TacshadeError):
         super().__init__(text, code=code)
         self.others = tuple(others[: self._OTHERS_MAX])
         if more := len(others) - len(self.others):
+            # Counted, because a person has to know that fixing these is not all.
             self.others += (f"and {more} more mistakes",)
 
 

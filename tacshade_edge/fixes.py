@@ -95,6 +95,7 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
                 "and is this machine's clock right?"
             )
             return f"{asked} If the port does not use TLS, omit mqtt.ca_file"
+        # Before the wider ConnectionError below, of which this is a kind.
         case ConnectionRefusedError() if host in ("localhost", "127.0.0.1", "::1"):
             install = "sudo apt install mosquitto"
             return (
@@ -106,6 +107,7 @@ def connect_fix(error: BaseException | None, host: str, port: int, tls_ca: str |
                 "is the broker running, and does it accept other machines on mqtt.port (mosquitto: "
                 "`listener`)?"
             )
+        # A TLS handshake with a port that does not speak TLS ends in any of these.
         case ConnectionError() | EOFError() | TimeoutError() if tls_ca:
             return (
                 "is mqtt.port the broker's TLS port (often 8883)? If it does not use TLS, "
@@ -133,6 +135,7 @@ _NOT_AUTHORISED: Final = 0x87
 
 def is_not_authorised(code: int) -> bool:
     """Whether the reason code of the broker's CONNACK means that it rejects the user."""
+    # A wrong password may be either; mosquitto says the second.
     return code in (_BAD_USER_NAME_OR_PASSWORD, _NOT_AUTHORISED)
 
 
@@ -150,4 +153,5 @@ def refusal_fix(code: int, username: str | None) -> str:
             "is the password right? To reset it: sudo mosquitto_passwd "
             f"/etc/mosquitto/tacshade.passwd {username}"
         )
+    # The first one with MQTT 5.
     return "use mosquitto 1.6 or newer" if is_other_version(code) else BROKERS_LOG

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import ctypes
 
-_M_ARENA_MAX = -8  # glibc's malloc.h
+# From glibc's malloc.h.
+_M_ARENA_MAX = -8
 
 
 def return_free_memory() -> None:
     """Return freed memory to the system, within milliseconds: glibc keeps what lies below the
     newest block, most of a large map.
     """
+    # Only glibc has these functions.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

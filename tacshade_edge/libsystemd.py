@@ -19,6 +19,7 @@ def module(name: str) -> Any:
     """The module ``systemd.NAME``, or None where it is not installed."""
     try:
         return importlib.import_module(f"systemd.{name}")
+    # It has no wheel: a Debian package, or a compiler, makes it.
     except ImportError:
         return None
 
@@ -36,4 +37,5 @@ def has_room(address: str, seconds: float) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         probe.settimeout(seconds)
         probe.connect(path_of(address))
+        # A connected datagram socket is writable as long as its peer's queue has room.
         return bool(select.select([], [probe], [], seconds)[1])

@@ -16,6 +16,7 @@ class Connections:
 
     def admit(self, connection: socket.socket) -> bool:
         """Count a connection; return False when too many are open."""
+        # A closed socket has the number -1, so nobody has to report an end.
         self._open = [other for other in self._open if other.fileno() >= 0]
         if len(self._open) >= self._most:
             return False
@@ -33,12 +34,14 @@ class Listener(socket.socket):
     """
 
     def __init__(self, host: str, port: int, admit: Callable[[socket.socket], bool]) -> None:
+        # The first one, which the system prefers: a name can have an address of each IP version.
         family, *_, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         super().__init__(family, socket.SOCK_STREAM)
         self._admit = admit
         try:
+            # After a restart, the port's last connections still time out for a minute.
             self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self.bind(address)
         except OSError:

@@ -15,6 +15,8 @@ def quoted(text: str, chars_max: int = 60) -> str:
 
 def shown(text: object, chars_max: int = 300) -> str:
     """`text` unchanged if it is printable and short, else `quoted`. For names and paths."""
+    # A name from outside could hold line ends, which forge lines of a log, or escapes, which
+    # command a terminal.
     plain = str(text)
     return plain if plain.isprintable() and len(plain) <= chars_max else quoted(plain, chars_max)
 
@@ -50,6 +52,7 @@ def did_you_mean(text: object, names: Iterable[object]) -> str:
     """``; did you mean NAME?`` with the name nearest to `text`,
     or an empty string if none is near.
     """
+    # A key that is missing, or typed as a number, resembles no name.
     near = (
         difflib.get_close_matches(text, list(map(str, names)), 1) if isinstance(text, str) else []
     )

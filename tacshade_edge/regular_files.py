@@ -20,8 +20,10 @@ def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
     try:
         # Without O_NONBLOCK, opening a pipe would wait for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except ValueError as error:  # a NUL in the name
+    except ValueError as error:
+        # A NUL in the name.
         raise OSError(errno.EINVAL, str(error), path) from None
+    # Of what was opened: a path may be another file a moment later.
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode):
         os.close(descriptor)
@@ -38,6 +40,7 @@ def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
 def read_regular(path: str | os.PathLike[str], bytes_max: int) -> bytes:
     """Read a file, up to its size when it was opened. Raises OSError like `open_regular`."""
     with open_regular(path, bytes_max) as stream:
+        # Up to the size that was checked: the file may grow meanwhile.
         return stream.read(os.fstat(stream.fileno()).st_size)
 
 
@@ -46,4 +49,5 @@ def named_file(folder: Path, name: str) -> Path:
     relative to its folder, from ``~``, or as in Windows.
     """
     path = folder / os.path.expanduser(name)
+    # Tables are often written on Windows; on Linux such a name may be a file's own.
     return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path

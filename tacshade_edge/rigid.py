@@ -47,6 +47,7 @@ def from_seven(values: Sequence[float]) -> Rigid:
     """
     x_mm, y_mm, z_mm, *q = values
     norm = math.sqrt(math.fsum(v * v for v in q))
+    # Written so that NaN is refused as well.
     if not norm > 0:
         raise ValueError("a quaternion of length 0 is no rotation")
     w, x, y, z = (v / norm for v in q)
@@ -87,6 +88,7 @@ def turned_rad(rotation: F64) -> F64:
     """The rotation vector (3,) in radians, the inverse of `turn`; its length is at most π."""
     w, *v = _quaternion(rotation)
     sine = math.hypot(*v)
+    # atan2 stays exact for small angles, where the arc cosine of w loses half its digits.
     return np.array(v) * (2 * math.atan2(sine, w) / sine if sine > 0 else 2.0)
 
 
@@ -95,7 +97,8 @@ def _quaternion(m: F64) -> tuple[float, float, float, float]:
     to avoid the root of a tiny number.
     """
     turned = np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))
-    products = np.empty((4, 4))  # of its components, times 4
+    # All products of two components, times 4.
+    products = np.empty((4, 4))
     products[0, 1:] = products[1:, 0] = turned
     products[1:, 1:] = m + m.T
     np.fill_diagonal(
@@ -107,6 +110,7 @@ def _quaternion(m: F64) -> tuple[float, float, float, float]:
             1 - m[0, 0] - m[1, 1] + m[2, 2],
         ),
     )
+    # A row is the quaternion times one component: the largest divides best.
     row = products[int(np.argmax(products.diagonal()))]
     w, x, y, z = (row / np.linalg.norm(row) * (-1 if row[0] < 0 else 1)).tolist()
     return w, x, y, z

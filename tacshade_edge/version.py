@@ -7,7 +7,8 @@ from functools import cache
 
 def how_to_install(extra: str) -> str:
     """The command that installs an extra: from the clone, as long as no index has the package."""
-    index = "https://download.pytorch.org/whl/cpu"  # PyPI's PyTorch brings 3 GB for GPUs
+    # PyPI's PyTorch brings 3 GB for GPUs.
+    index = "https://download.pytorch.org/whl/cpu"
     first = f"pip install torch --index-url {index}, then " if extra == "fit" else ""
     return f"{first}pip install '.[{extra}]' in the clone"
 
@@ -17,7 +18,8 @@ def installed_version() -> str:
     """The version set at build time (``tools/release/version.py``);
     ``0+unknown`` in an uninstalled checkout.
     """
-    from importlib import metadata  # takes 10 ms that most commands do not need
+    # Takes 10 ms, which most commands do not need.
+    from importlib import metadata
 
     try:
         return metadata.version("tacshade-edge")

@@ -27,9 +27,13 @@ _MISTAKES = (
     errno.EISDIR,
     errno.EEXIST,
 )
-_CHARS_MAX = 4000  # length of a printed error, which may list all expected values
+# The length of a printed error, which may list all expected values.
+_CHARS_MAX = 4000
+# 2 is argparse's. 78 is EX_CONFIG of sysexits.h: the unit's RestartPreventExitStatus, because no
+# restart mends a settings file.
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_CONFIG = 0, 1, 2, 78
-EXIT_INTERRUPTED = 130  # as a shell reports a command that SIGINT ended: 128 + 2
+# As a shell reports a command that SIGINT ended: 128 + 2.
+EXIT_INTERRUPTED = 130
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -123,10 +127,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     78 bad configuration.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    # No option before the command takes a value, so the first other word is the command. Only its
+    # module is imported: all together take seconds on a small board.
     chosen = next((w for w in words if not w.startswith("-")), None)
     parser, modules = command_line(lambda name: name == chosen)
     args, unknown = parser.parse_known_args(words)
     if unknown:
+        # Of the command's own parser, whose usage line is the one that helps.
         args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     module = modules[args.command]
     try:
@@ -138,12 +145,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TacshadeError as error:
         print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
         return EXIT_FAILED
-    except BrokenPipeError:  # the reader of our output closed it, as `| head` does
+    except BrokenPipeError:
+        # The reader of our output closed it, as `| head` does. The interpreter would report that
+        # once more at its end, if it still had a place to.
         sys.stderr.close()
         return EXIT_FAILED
-    except (
-        OSError
-    ) as error:  # of a path that Python could not even look at: too long a name, a closed folder
+    except OSError as error:
+        # A path that Python could not even look at: too long a name, a closed folder. Any other
+        # error, and any of a daemon, is a defect and has to show its traceback.
         if error.filename is None or args.command == "run":
             raise
         print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)

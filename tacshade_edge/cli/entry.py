@@ -34,7 +34,8 @@ def entry() -> NoReturn:
             print(f"tacshade-edge: {text}", file=sys.stderr)
             sys.exit(EXIT_CONFIG)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a path may not be UTF-8
+        # A path may hold bytes that are not UTF-8, at which print() would fail.
+        sys.stdout.reconfigure(errors="backslashreplace")
     sys.excepthook = _defect
     leave(main())
 
@@ -61,8 +62,10 @@ def _defect(kind: type[BaseException], error: BaseException, trace: TracebackTyp
 def _end_if_threads_are_left(code: int) -> None:
     if threading.active_count() == 1:
         return
+    # os._exit skips all that the interpreter does at its end: what is buffered would be lost.
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # the stream is closed, or its reader is
+        # The stream is closed, or its reader is.
+        with contextlib.suppress(OSError, ValueError):
             stream.flush()
     os._exit(code)

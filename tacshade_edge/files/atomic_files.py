@@ -53,6 +53,7 @@ def part(path: Path) -> Path:
     """The path of an incomplete file. Raises OSError for a path without a name, such as ``/``."""
     if not path.name:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    # In the same folder: between file systems, a rename would copy, and could be cut short.
     return path.with_name(path.name + ".part")
 
 
@@ -64,12 +65,15 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
     """
     partial = part(path)
     with contextlib.suppress(FileNotFoundError):
+        # os.replace would put a file in the place of the device.
         if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
             raise OSError(errno.EEXIST, "found no regular file", str(path))
     try:
         with partial.open("wb") as stream:
             stream.writelines((data,) if isinstance(data, bytes) else data)
             if sync:
+                # Before the rename, which may reach the disk before the data: after a power cut,
+                # the name would stand for an empty file.
                 stream.flush()
                 os.fsync(stream.fileno())
         os.replace(partial, path)
@@ -91,6 +95,8 @@ def write_set(
     try:
         for path, data in zip(new, files.values(), strict=True):
             write_whole(path, data)
+        # On the disk without the manifest before the first name changes: after a power cut between
+        # two renames, its absence shows that the files are mixed.
         (folder / manifest).unlink(missing_ok=True)
         sync(folder)
         for path in new:
@@ -135,6 +141,7 @@ class FolderLock:
                 path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644
             )
             try:
+                # The kernel releases it however the process ends: no lock has to be judged stale.
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 holder = (

@@ -19,13 +19,15 @@ from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap,
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_WIDTH_PX = 12
 TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
-SEEN_PX = 900  # up to which `reference_picture` enlarges
+# Up to this size a small reference is enlarged: its markers are a few pixels wide.
+SEEN_PX = 900
 _FOUND, _OUTLINE, _PLACE = (0, 230, 255), (90, 200, 90), (255, 120, 255)
 _BAR_AT_PX, _BAR_PITCHES = 8, 5
 _HALF_WHITE = 127
 _DIMENSIONS_BGR = 3
 _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
-_LABEL_EVERY_PX = 46  # least distance between ticks
+# The least distance between ticks, at which long numbers stay apart.
+_LABEL_EVERY_PX = 46
 _LEGEND_PX = 22
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 _COLOURS = cv2.COLORMAP_VIRIDIS

@@ -25,6 +25,7 @@ SIDE_MAX_PX: Final = 8192
 # Markers near the end of a complete file; some cameras pad the end.
 _ENDS: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 _TAIL_BYTES: Final = 1024
+# Formats that may have 16 bits per pixel.
 _DEEP: Final = (
     b"\x89PNG",
     b"II*\0",
@@ -33,8 +34,9 @@ _DEEP: Final = (
     b"P3",
     b"P5",
     b"P6",
-)  # may have 16 bits per pixel
-_DARK_GREY, _HOT_PART = 16, 0.001  # a dark image's hot pixels do not count
+)
+# A dark image's hot pixels do not count.
+_DARK_GREY, _HOT_PART = 16, 0.001
 
 # OpenCV's own lines on stderr would add to our one.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -62,11 +64,14 @@ def decode_image(data: bytes, flags: int) -> U8:
         )
         raise DecodeError(f"found {width}x{height} px, {expected}")
     if data.startswith((b"P2", b"P3")):
-        data += b"\n"  # OpenCV reads no number that ends the file
+        # OpenCV reads no number that ends the file.
+        data += b"\n"
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         image = None
+    # Another size than the header's: the limit was checked for one picture, and another was
+    # decoded.
     if image is None or image.shape[:2] != (height, width):
         raise DecodeError(
             f"found {len(data)} bytes that are damaged or not an image, expected a whole image"
@@ -101,11 +106,14 @@ def _size_px(data: bytes) -> tuple[int, int] | None:
     read = next((read for start, read in _HEADERS.items() if data.startswith(start)), None)
     try:
         return None if read is None else read(data)
-    except struct.error:  # shorter than its header
+    # Shorter than its header.
+    except struct.error:
         return None
 
 
-_PNG_FIRST: Final = 8  # the signature's length
+# Chunks begin after the signature.
+_PNG_FIRST: Final = 8
+# Of one pixel. Fewer levels than these hide what a light touch changes.
 _BITS_LEAST: Final = 8
 
 
@@ -162,7 +170,8 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
             return None
 
 
-_BMP_OLD_BYTES: Final = 12  # a BITMAPCOREHEADER, whose sides have 16 bits
+# The header of OS/2 and Windows 2 (BITMAPCOREHEADER), whose sides have 16 bits.
+_BMP_OLD_BYTES: Final = 12
 
 
 def _bmp(data: bytes) -> tuple[int, int]:
@@ -171,7 +180,8 @@ def _bmp(data: bytes) -> tuple[int, int]:
         "<4H" if header_bytes == _BMP_OLD_BYTES else "<2i2H", data, 18
     )
     _check_bits(bits)
-    return abs(width), abs(height)  # negative if upside down
+    # Negative if the rows are stored from top to bottom.
+    return abs(width), abs(height)
 
 
 _PNM_GAP = rb"(?:\s|#[^\n]*\n)+"
@@ -181,7 +191,8 @@ _PNM_HEADER_BYTES = 1024
 
 def _pnm(data: bytes) -> tuple[int, int] | None:
     found = _PNM_SIZE.match(data[:_PNM_HEADER_BYTES])
-    if found and int(found[3]) not in (255, 65535):  # OpenCV ignores it
+    # OpenCV ignores the greatest value and would take 10 bits for nearly black 16.
+    if found and int(found[3]) not in (255, 65535):
         raise DecodeError(
             f"found {int(found[3])} as the greatest value of a pixel, expected 255 or 65535"
         )
@@ -206,8 +217,10 @@ _TIFF_TAGS = (
     _TIFF_FORMAT,
     *_TIFF_TILES,
 )
-_TIFF_SHORT, _TIFF_THUMBNAIL, _TIFF_NOT_WHOLE = 3, 1, (2, 3)  # signed, floating-point
-_TIFF_INLINE_BYTES = 4  # a value of at most so many stands in the entry itself
+# The last pair: signed, and floating-point values.
+_TIFF_SHORT, _TIFF_THUMBNAIL, _TIFF_NOT_WHOLE = 3, 1, (2, 3)
+# A value of at most so many bytes stands in the entry itself, a longer one elsewhere.
+_TIFF_INLINE_BYTES = 4
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:
@@ -219,7 +232,8 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
             "found a TIFF of floating-point or signed values, "
             "expected whole numbers of 8 or 16 bits"
         )
-    if (orientation := found.get(_TIFF_ORIENTATION, 1)) != 1:  # OpenCV would turn it, unlike a JPEG
+    # OpenCV would turn it, whatever the flags say, unlike a JPEG.
+    if (orientation := found.get(_TIFF_ORIENTATION, 1)) != 1:
         raise DecodeError(f"found a TIFF with orientation {orientation}, expected 1 or none")
     if (
         following
@@ -227,6 +241,7 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
     ):
         raise DecodeError(_SEVERAL)
     _check_bits(found.get(_TIFF_BITS, 1))
+    # The decoder allocates a tile whole, even if it is larger than the image.
     if any(found.get(tag, 0) > SIDE_MAX_PX for tag in _TIFF_TILES):
         return None
     return found.get(_TIFF_WIDTH, 0), found.get(_TIFF_HEIGHT, 0)
@@ -252,7 +267,8 @@ def _tiff_directory(data: bytes, order: str, at: int) -> tuple[dict[int, int], i
 
 
 _WEBP_ANIMATED = 2
-_WEBP_SIDE = 0x3FFF  # a side has 14 bits
+# A side has 14 bits; the two others of its word are no part of it.
+_WEBP_SIDE = 0x3FFF
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:

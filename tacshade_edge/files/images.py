@@ -30,6 +30,7 @@ def read_image(path: Path) -> U8:
     except OSError as error:
         raise DecodeError(f"{shown(path)}: {error.strerror or error}, expected an image") from None
     try:
+        # As stored: a turned picture would not fit its calibration.
         return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except DecodeError as error:
         raise DecodeError(f"{shown(path)}: {error}") from None
@@ -42,6 +43,7 @@ def images_in(given: Iterable[Path]) -> list[Path]:
     """
     images: list[Path] = []
     for path in given:
+        # A folder may hold anything else beside its images; a file that is named is meant.
         if path.is_dir():
             found = sorted(
                 each
@@ -69,5 +71,6 @@ def size_text(image: U8) -> str:
 
 def number_in(name: str, prefix: str) -> int:
     """The number in ``PREFIX_NUMBER.png``; 0 in any other name."""
+    # 18 digits fit into 64 bits; without re.ASCII, digits of other scripts would count.
     found = re.fullmatch(rf"{prefix}_(\d{{1,18}})\.png", name, re.ASCII)
     return int(found[1]) if found else 0

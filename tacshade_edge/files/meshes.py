@@ -13,9 +13,10 @@ from tacshade_edge.regular_files import read_regular
 from tacshade_edge.types import F32, F64, U16
 
 MAX_TRIANGLES = 200_000
+# A binary file: 80 bytes of any text, the number of triangles, then these.
 _HEAD_BYTES, _TRIANGLE_BYTES = 84, 50
-# An ASCII triangle takes about 270 bytes.
 _LINE_BYTES = 256
+# An ASCII triangle takes about 270 bytes, more with long numbers and deep indents.
 _MAX_BYTES = MAX_TRIANGLES * 400
 _CORNERS = 3
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -33,7 +33,8 @@ Array = npt.NDArray[Any]
 BYTES_MAX: Final = 64 << 20
 """Greatest size of the file, and of its unpacked content; two images of 4096x4096 px take half."""
 _MEMBERS_MAX: Final = 256
-_ENTRY: Final = b"PK\x01\x02"  # begins each entry of the directory, which zipfile reads whole
+# Begins each entry of the directory, which zipfile reads whole.
+_ENTRY: Final = b"PK\x01\x02"
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError:
 # a flag or method zipfile lacks).
 _DAMAGE: Final = (
@@ -149,6 +150,7 @@ def read_arrays(
             raise ValueError("too many arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+            # Two readers might disagree on which of them counts.
             if len(entries) < len(archive.infolist()):
                 raise ValueError("two arrays of the same name")
             if sum(entry.file_size for entry in entries.values()) > bytes_max:
@@ -166,6 +168,7 @@ def numbers(arrays: Mapping[str, Array], key: str, dimensions: int, *, nan: bool
         raise DecodeError(f"{key}: {found}, expected numbers in {dimensions} dimensions")
     if not nan and np.isnan(array).any():
         raise DecodeError(f"{key}: found NaN, expected numbers")
+    # fmin and fmax pass over NaN, which may be wanted.
     extremes = [float(each.reduce(array, axis=None)) for each in (np.fmin, np.fmax) if array.size]
     if wrong := [value for value in extremes if abs(value) > NUMBER_MAX]:
         raise DecodeError(
@@ -196,12 +199,14 @@ def _array(kind: type, value: object) -> object:
 
 
 def _json(meta: Mapping[str, Any]) -> bytes:
+    # Sorted, because the checksum is of these bytes.
     return json.dumps(meta, sort_keys=True).encode()
 
 
 def _crc32(meta: bytes, arrays: Mapping[str, Any]) -> int:
     crc = zlib.crc32(meta)
     for name in arrays:
+        # The same values have the same checksum, in whatever order memory holds them.
         array = np.ascontiguousarray(arrays[name])
         crc = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), crc)
         crc = zlib.crc32(array.tobytes(), crc)
@@ -210,12 +215,14 @@ def _crc32(meta: bytes, arrays: Mapping[str, Any]) -> int:
 
 def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
     """A member, of which no more is inflated than its stated size. Raises one of `_DAMAGE`."""
+    # zipfile inflates the other methods whole, whatever size is asked for.
     if entry.compress_type not in (
         zipfile.ZIP_STORED,
         zipfile.ZIP_DEFLATED,
-    ):  # zipfile inflates the others whole
+    ):
         raise ValueError("another compression")
     with archive.open(entry) as member:
+        # A byte more than stated, if there is one, shows that the entry lies.
         return member.read(entry.file_size + 1)
 
 
@@ -226,6 +233,7 @@ def _npy(data: bytes, kinds: str) -> Array:
         raise ValueError("another version of .npy")
     shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
     values = data[stream.tell() :]
+    # Objects are pickled, and to unpickle them is to run somebody's code.
     if dtype.kind not in kinds:
         raise ValueError(f"found an array of {dtype}")
     if min(shape, default=0) < 0 or len(values) != dtype.itemsize * math.prod(shape):

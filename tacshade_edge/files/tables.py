@@ -19,15 +19,15 @@ from tacshade_edge.regular_files import read_regular
 ROWS_MAX: Final = 10_000
 NUMBER_MAX: Final = 1e6
 """Greatest number in a table, far above any length in mm, angle or time in s."""
-BYTES_A_ROW_MAX: Final = 512  # on average
+# On average, so that the file's size bounds what is read.
+BYTES_A_ROW_MAX: Final = 512
 _ROW_CHARS_MAX: Final = 1 << 16
 
 _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
 _NUMBER: Final = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
-_TEXTS: Final = frozenset(
-    {"image", "indenter", "group"}
-)  # columns whose commas are no decimal signs
+# Columns whose commas are no decimal signs.
+_TEXTS: Final = frozenset({"image", "indenter", "group"})
 
 Rows = list[tuple[str, dict[str, str]]]
 """Each row's ``FILE:LINE`` and its cells by column, with decimal points;
@@ -54,6 +54,7 @@ def read_columns(
     text, delimiter = _separated(_text(path, what, rows_max * BYTES_A_ROW_MAX), required)
     lines = _lines(path, text, delimiter, rows_max)
     line0, header = lines[0] if lines else (1, [])
+    # Spreadsheets end every row with the separators of columns that were once used.
     while header and not header[-1]:
         header.pop()
     known = (*required, *optional)
@@ -63,6 +64,7 @@ def read_columns(
         if len(cells) < len(header) or any(cells[len(header) :]):
             raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
         found_cells = dict.fromkeys(known, "") | dict(zip(header, cells, strict=False))
+        # Spreadsheets of many countries write a decimal comma, and then separate by another sign.
         if delimiter != ",":
             found_cells = {
                 key: cell if key in _TEXTS else cell.replace(",", ".")
@@ -100,6 +102,7 @@ def _lines(path: Path, text: str, delimiter: str, rows_max: int) -> list[tuple[i
                 raise csv.Error(f"a row of more than {_ROW_CHARS_MAX} characters")
             yield found[0]
 
+    # `strict`: csv would otherwise repair a wrong quote by guessing.
     reader = csv.reader(bounded(), delimiter=delimiter, strict=True, skipinitialspace=True)
     lines: list[tuple[int, list[str]]] = []
     try:
@@ -141,7 +144,8 @@ def _check_header(
 
 def number(where: str, column: str, text: str) -> float:
     """Parse a number from -`NUMBER_MAX` to `NUMBER_MAX`. Raises ConfigError."""
-    if not _NUMBER.fullmatch(text):  # float() reads 1_0 and the digits of other scripts too
+    # float() also reads 1_0, nan, inf and the digits of other scripts.
+    if not _NUMBER.fullmatch(text):
         raise ConfigError(f"{where}: {column}: found {quoted(text)}, expected a number")
     value = float(text)
     if abs(value) > NUMBER_MAX:

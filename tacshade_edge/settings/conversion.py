@@ -68,6 +68,7 @@ def convert(file: YamlFile, kind: type[T], at: Key = ()) -> T:
 def schema_of(kind: type) -> Schema:
     """The JSON Schema of a struct, with those of the structs in it."""
     schema = msgspec.json.schema(kind)
+    # msgspec puts the struct itself among its definitions.
     return {**schema["$defs"][kind.__name__], "$defs": schema["$defs"]}
 
 
@@ -101,6 +102,7 @@ def _problem(misfit: Misfit, found: dict[Key, Located]) -> str:
         return f"found an unknown key, expected one of {', '.join(names)}{near}"
     if misfit.kind == "missing":
         return f"found nothing, expected {expectation(misfit.schema)}"
+    # The file's own text would be `a list`, where its length is what is wrong.
     is_list = isinstance(misfit.value, list)
     text = f"a list of {len(misfit.value)}" if is_list else found[misfit.key].text
     return f"found {text}, expected {expectation(misfit.schema, misfit.value)}"
@@ -115,6 +117,8 @@ def _misfit(value: Any, schema: Schema, key: Key, definitions: Schema) -> Misfit
         if not options:
             tags = {"enum": list(schema["discriminator"]["mapping"])}
             return Misfit((*key, tag), "wrong" if tag in value else "missing", value.get(tag), tags)
+    # msgspec allows a union at most one mapping without a tag and one list, so the first is the one
+    # that was meant.
     for option in options:
         if isinstance(value, dict) and "properties" in option:
             return _misfit_in_mapping(value, option, key, definitions)
@@ -129,6 +133,7 @@ def _misfit_in_mapping(
     value: dict[str, Any], schema: Schema, key: Key, definitions: Schema
 ) -> Misfit | None:
     for name, each in value.items():
+        # In the file's order: a person mends it from top to bottom.
         if name not in schema["properties"]:
             return Misfit((*key, name), "unknown", each, schema)
         if misfit := _misfit(each, schema["properties"][name], (*key, name), definitions):

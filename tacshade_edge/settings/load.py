@@ -46,7 +46,8 @@ from tacshade_edge.settings.model import (
 from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile
 
-_V4L2_EXPOSURE_US = 100  # V4L2_CID_EXPOSURE_ABSOLUTE
+# The unit of V4L2_CID_EXPOSURE_ABSOLUTE.
+_V4L2_EXPOSURE_US = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,7 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
     Raises ConfigError, ``FILE:LINE: path.to.key: found …, expected …``, for the first mistake.
     """
     documents = load_all(path)
+    # A file of one sensor needs no name; one of several never stands for its first sensor.
     if sensor_id is None and len(documents) == 1:
         return documents[0]
     for document in documents:
@@ -100,6 +102,7 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
 def load_all(path: Path) -> tuple[Document, ...]:
     """Read and check a settings file with one sensor or several. Raises ConfigError like `load`."""
     file = strict_yaml.read(path)
+    # By the key alone: a mistake below it then has the line that it has in such a file.
     several = isinstance(file.value, dict) and SENSORS in file.value
     return tuple(_document(part, several=several) for part in (split(file) if several else [file]))
 
@@ -110,6 +113,7 @@ def _document(file: YamlFile, *, several: bool) -> Document:
     _check_size(file, settings.source)
     _check_exposure(file, settings.source)
     _check_hand(file, settings, several=several)
+    # Paths count from the file, wherever the daemon is started.
     settings = _absolute(settings, file.path.absolute().parent)
     if several:
         settings = own_folders(settings, file.found)
@@ -149,6 +153,7 @@ def _check_hand(file: YamlFile, settings: Settings, *, several: bool) -> None:
         raise file.error(
             (FINGER,), f"found it without {HAND}, expected it in a hand's sensors only"
         )
+    # Seven numbers of the right type may still be no rotation, which no type can state.
     elif problem := wrong_with(settings.hand_T_sensor):
         raise file.error((FINGER,), problem)
 
@@ -167,6 +172,7 @@ def _check_exposure(file: YamlFile, source: Source) -> None:
     """Refuse an exposure that does not fit into the frame period,
     which slows the camera down without notice.
     """
+    # rpicam-vid takes microseconds, UVC cameras tenths of milliseconds.
     if isinstance(source, Rpicam):
         name, value, unit_us = "exposure_us", source.exposure_us, 1
     elif isinstance(source, V4l2) and source.exposure is not None:
@@ -197,6 +203,7 @@ def _check_profile(file: YamlFile, settings: Settings) -> None:
 
 def to_yaml(settings: Settings) -> str:
     """The text of a settings file with these settings."""
+    # In the order of the types, which is the order in which people read them.
     text: str = yaml.safe_dump(msgspec.to_builtins(settings), sort_keys=False, allow_unicode=True)
     return text
 

@@ -19,7 +19,9 @@ Placed = Annotated[
     list[float], Meta(min_length=7, max_length=7, description="x_mm, y_mm, z_mm, qw, qx, qy, qz")
 ]
 
+# People copy quaternions with four digits; a wrong one is off by far more.
 _UNIT_TOLERANCE: Final = 1e-3
+# Far beyond any robot's reach.
 _PLACE_MAX_MM: Final = 1e6
 
 
@@ -52,6 +54,7 @@ class V4l2(
 ):
     """A Linux video device."""
 
+    # No number, as OpenCV takes it: a camera has another one after the next start.
     device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
     width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] | None = None
     height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] | None = None
@@ -92,6 +95,7 @@ class Rpicam(
         | None
     ) = None
     height_px: (
+        # YUV 4:2:0 has a row of colours for two rows.
         Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] | None
     ) = None
     fps: Annotated[
@@ -127,6 +131,7 @@ class Files(
     """Images or a video file in place of a camera."""
 
     path: Annotated[
+        # An empty path would be the folder of the settings file.
         str, Meta(min_length=1, description="a folder of images, an image or a video file")
     ]
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
@@ -160,13 +165,15 @@ HAND, FINGER = "hand_id", "hand_T_sensor"
 """The keys of a hand and of each of its sensors; not allowed in a file with one sensor."""
 _PROFILES = [*PROFILES, AUTO]
 _ID = "^[A-Za-z0-9_-]{1,64}$"
-_SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"  # the topics of hands begin with tacshade/hand
+# The topics of hands begin with tacshade/hand.
+_SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"
 
 
 class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The broker."""
 
     host: Annotated[
+        # Refused here, a URL gets a line; the resolver would say that the host is unknown.
         str, Meta(pattern=HOST, description="host name or address, without port, brackets or URL")
     ] = "localhost"
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
@@ -209,6 +216,7 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     device: Annotated[
         str,
         Meta(
+            # pyserial's URLs reach a robot behind a serial server, or a simulated one.
             pattern="^(/dev/|[a-z0-9]+://)",
             description="a serial port's path under /dev, or a pyserial URL",
         ),
@@ -232,6 +240,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")
     ] = "/var/lib/tacshade-edge/calibration.npz"
     profile: Annotated[
+        # Their names are known only at run time, which a Literal cannot express.
         str, Meta(pattern=f"^({'|'.join(_PROFILES)})$", extra_json_schema={"enum": _PROFILES})
     ] = DEFAULT
     latency_budget_ms: (
@@ -326,4 +335,5 @@ def digest(settings: Settings) -> str:
     """The first 12 hex digits of the settings' SHA-256,
     which distinguish configurations in ``info``.
     """
+    # Equal settings have the same digest, in whatever order a file has them.
     return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:12]

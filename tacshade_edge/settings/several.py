@@ -30,6 +30,7 @@ def split(file: YamlFile) -> Iterator[YamlFile]:
         expected = f"expected 1 to {SENSORS_MAX} sensors, each its id and its settings"
         raise file.error((SENSORS,), f"found {count}, {expected}")
     common = {key: value for key, value in file.value.items() if key != SENSORS}
+    # What one sensor needs for itself would hold for all of them.
     for key in common.keys() & OWN:
         raise file.error((key,), f"found beside {SENSORS}, expected in each of them")
     taken, bauds = dict[str, str](), dict[str, tuple[object, str]]()
@@ -90,6 +91,7 @@ def _check_baud(
     """
     if not isinstance(serial, dict) or "device" not in serial:
         return
+    # One process opens the port for all sensors on it.
     baud, first = bauds.setdefault(str(serial["device"]), (serial.get("baud"), sensor_id))
     if serial.get("baud") != baud:
         text = f"found a different baud, expected that of {SENSORS}.{first} on this port"
@@ -101,6 +103,7 @@ def _found_by_one(file: YamlFile, sensor_id: str) -> dict[Key, Located]:
     at = (SENSORS, sensor_id)
     found = {key: where for key, where in file.found.items() if key[:1] != (SENSORS,)}
     found |= {
+        # Messages still show the key as the file has it, below `sensors`.
         key[len(at) :]: replace(where, at=at)
         for key, where in file.found.items()
         if key[: len(at)] == at
@@ -123,6 +126,7 @@ def _over(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 def _places(own: dict[str, Any]) -> dict[str, str]:
     """Settings that sensors cannot share: the calibration (with its reference) and the camera."""
+    # Compared as typed: that two names mean one camera shows when it is opened.
     found = {"calibration": f"calibration {own['calibration']}"}
     for name in ("device", "camera"):
         if isinstance(own["source"], dict) and name in own["source"]:

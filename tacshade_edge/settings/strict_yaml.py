@@ -19,9 +19,11 @@ from tacshade_edge.regular_files import read_regular
 Key = tuple[str, ...]
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
 _NUMBERS = {f"tag:yaml.org,2002:{name}" for name in ("int", "float")}
+# Numbers as everybody reads them; YAML 1.1 also reads others as numbers.
 _DECIMAL = re.compile(r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _BYTES_MAX = 1 << 20
-_VALUES_MAX = 10_000  # the reader needs about a third of a second for them
+# The reader needs about a third of a second for these.
+_VALUES_MAX = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ class _Loader(yaml.SafeLoader):
             if self.values > _VALUES_MAX
             else None
         )
+        # A few lines of nested aliases stand for billions of values.
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             problem = "an anchor or alias, expected a plain value"
         if problem:
@@ -91,6 +94,7 @@ class _Loader(yaml.SafeLoader):
         text = shown(" ".join(source.split()), 60)
         self.found.setdefault(key, Located(line, text or "nothing"))
         try:
+            # Other tags are dates and Python's objects, which no setting is.
             value = self.construct_object(node) if node.tag in _SCALARS else node
         except ValueError:
             value = node
@@ -102,9 +106,9 @@ class _Loader(yaml.SafeLoader):
             and node.style is None
             and _DECIMAL.fullmatch(node.value)
         ):
-            value = (
-                value if isinstance(value, int) else float(node.value)
-            )  # YAML 1.1 reads 3e1 as text
+            # YAML 1.1 reads 3e1 as text.
+            value = value if isinstance(value, int) else float(node.value)
+        # YAML 1.1 has octal, binary and sexagesimal numbers: 010 is 8, and 1:30 is 90.
         elif node.tag in _NUMBERS and is_finite:
             expected = "expected a plain decimal number, or quotes around text"
             raise self._error(line, key, f"found {text}, which YAML reads as {value}, {expected}")
@@ -124,12 +128,14 @@ class _Loader(yaml.SafeLoader):
                     line, key, "found a key that is not text, expected a setting's name"
                 )
             child = (*key, name_node.value)
+            # PyYAML would let the last one win without a word.
             if child in self.found:
                 first = self.found[child].line
                 raise self._error(
                     line, child, f"found again, expected once (first on line {first})"
                 )
             values[name_node.value] = self.value(value_node, child)
+            # The key's line, where people look, and not that of a value that begins below it.
             self.found[child] = Located(line, self.found[child].text)
         return values
 
@@ -154,6 +160,7 @@ def read(path: Path) -> YamlFile:
 def parse(path: Path, data: bytes) -> YamlFile:
     """Parse the content of a YAML file. Raises ConfigError like `read`."""
     try:
+        # Editors of Windows begin a file with a byte order mark.
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
@@ -170,12 +177,14 @@ def parse(path: Path, data: bytes) -> YamlFile:
         raise ConfigError(
             f"{where}: not valid YAML here: {error.problem or error.context}"
         ) from error
-    except yaml.YAMLError as error:  # a character that YAML forbids
+    except yaml.YAMLError as error:
+        # A character that YAML forbids, which has no line.
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
         raise ConfigError(
             f"{path}: found YAML that is nested too deeply, expected a settings file's YAML"
         ) from error
+    # An empty file has no node, but its mistake needs a place.
     loader.found.setdefault((), Located(1, "nothing"))
     return YamlFile(path, value, loader.found)
 

@@ -82,8 +82,10 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
     from tacshade_edge.bridge.foxglove import FoxgloveBridge
 
     host, port = args.listen
+    # The bridge and its follower need each other: when a message comes, `bridge` is there.
     follower = Follower(broker, lambda *message: bridge.hear(*message))
     with _listening(args):
+        # Listens as it is made, before the broker is there to be followed.
         bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
     try:
         _serve(args, f"ws://{in_url(host)}:{bridge.port}", follower, bridge.poll)
@@ -130,11 +132,14 @@ def _serve(
     crashes: list[BaseException] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: ended.append(number))
+    # An error that nobody catches in paho's thread ends the process, as it does a daemon; the main
+    # thread raises it, so that its traceback is the last thing on stderr.
     threading.excepthook = lambda hook: crashes.append(
         hook.exc_value or RuntimeError(hook.exc_type.__name__)
     )
     host, port = args.broker
     print(f"{args.kind}: {url} for the broker {host}:{port}; press Ctrl-C to stop", flush=True)
+    # Said at each start: neither server asks who reads.
     if not is_loopback(args.listen[0]):
         print(
             f"{args.kind}: no encryption and no password: anyone on the network can read it",

@@ -59,7 +59,9 @@ _PAD_QUESTIONS = {
 }
 LEAST_TOUCHES = 8
 """What `calibrate --touches` needs (`lab.fitting.explained`, which a capture does not import)."""
+# `calibrate` does without either of them.
 _MAY_BE_EMPTY = ("camera_distance_mm", "polarity")
+# What a robot is told that asks for the sensor's status meanwhile.
 _CAPTURING = Reason(
     ReasonCode.NOT_CALIBRATED,
     "not calibrated: tacshade-edge capture is taking references and presses",
@@ -107,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
     terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
+    # Made only once the camera is known: a mistake in the options leaves no folder behind.
     folder.make()
     try:
         sensor = _sensor(folder, terminal)
@@ -124,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
                 with _scale(args.scale) as scale:
                     LabelSession(LabelFolder(args.labels), live, terminal, scale, labels).run()
     except InputEnded:
+        # The input's end (Ctrl-D) is an answer: that was all. What comes next is said as usual.
         terminal.say("")
     except KeyboardInterrupt:
         words = (
@@ -133,6 +137,7 @@ def run(args: argparse.Namespace) -> int:
         terminal.say(f"\neverything taken so far is kept; to continue, run: {words}")
         raise
     except DeviceError as error:
+        # All that was taken is on the disk.
         again = f"to continue in {folder.path}, run the same command again"
         raise DeviceError(f"{error}; {again}", code=error.code) from None
     _say_next(folder, terminal, labels=args.labels is not None)
@@ -166,6 +171,7 @@ def _camera(
         source.open()
         described = source.describe()
         terminal.say("camera: " + ", ".join(f"{name} {value}" for name, value in described.items()))
+        # The capture goes on: some cameras have no lock, and steady light needs none.
         if described.get("exposure_lock") == Lock.AUTOMATIC:
             terminal.say(
                 "warning: the driver does not lock the exposure, "
@@ -185,6 +191,7 @@ def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
     if serial is None or (port := make_serial_port(serial)) is None:
         yield None
         return
+    # Most captures have no robot.
     from tacshade_edge.robot.robot import Robot
 
     statuses: list[bytes] = []
@@ -215,6 +222,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     Raises ConfigError.
     """
     device: str | None = args.camera
+    # A capture that goes on uses the camera that it began with.
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
         document = load(path, args.sensor)
@@ -232,6 +240,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         cameras, csi = found_cameras(machine), list(csi_cameras())
         if not cameras and len(csi) == 1:
             return sources.sized(Rpicam(camera=csi[0])), None
+        # With several, taking the first would sooner or later calibrate the wrong sensor.
         if len(cameras) != 1:
             fix = f"; {CSI_FIX}" if not cameras and has_csi_receiver(machine) else ""
             found = ", ".join(cameras) or "no camera"
@@ -241,6 +250,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         device = cameras[0]
     v4l2_node.check_node(device)
     offered = v4l2_node.formats(device)
+    # The first is the best: several cameras in YUYV overrun one USB port, in MJPG they do not.
     known = [code for code in FOURCCS if code in offered]
     if not known:
         found = f"found {', '.join(offered) or 'none'}, expected one of {', '.join(FOURCCS)}"
@@ -255,6 +265,8 @@ def _settings_text(chosen: Source, serial: Serial | None, described: Mapping[str
     """The daemon's settings for this sensor, with the exposure at which the camera was locked."""
     locked = described.get("exposure_lock") == Lock.LOCKED
     value = described.get("exposure_value")
+    # The daemon has to lock the exposure at which the references were taken, whatever the light is
+    # when it starts; 1 is the least that the setting takes.
     if isinstance(chosen, V4l2) and locked and isinstance(value, float) and value >= 1:
         chosen = msgspec.structs.replace(chosen, exposure=round(value))
     found = "".join(f"#   {name}: {value}\n" for name, value in described.items())
@@ -301,6 +313,7 @@ def _answers(
         while key not in values:
             terminal.ask(question)
             text = terminal.wait()
+            # The question offers this answer: a flat skin has other dimensions to ask for.
             if text == "pad" and key == "skin_radius_mm":
                 return None
             if not text and key in _MAY_BE_EMPTY:
@@ -320,6 +333,7 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
     )
     if folder.rest_pictures():
         words += f" --rest {at}/{folder.rest.name}"
+    # Labels may be taken with a calibration that is elsewhere.
     if not list(folder.path.glob(REFERENCES)):
         terminal.say(f"no references yet; to take them, run: tacshade-edge capture {at}")
         if not labels:
@@ -332,6 +346,7 @@ def _say_next(folder: CaptureFolder, terminal: Terminal, *, labels: bool) -> Non
         words += f" --labels {at}/{LABELS}"
     elif len(taken) >= MIN_PRESSES:
         words += f" --presses {at}/{folder.presses.name}"
+        # Without other shapes, no INDENTERS.yaml may be there to name.
         if any(one.stated.columns[0] != BALL for one in taken):
             words += f" --indenters {at}/{folder.indenters.name}"
     else:

@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
+    # load_all ends at the file's first mistake; these look at what it names, each for itself.
     checks = (
         sources.check_source,
         check_serial,
@@ -53,9 +54,11 @@ def run(args: argparse.Namespace) -> int:
             links.check_link(hand)
         except ConfigError as error:
             mistakes.append(str(error))
+    # What all sensors share, such as the broker, would be named once for each of them.
     if mistakes := list(dict.fromkeys(mistakes)):
         raise ConfigError(mistakes[0], others=mistakes[1:])
     for document in documents:
+        # As `run` makes it, but not opened: a file may be checked where its camera is not.
         sources.make_source(document.settings.source)
     print(f"{args.file}: ok", *warnings, sep="\n")
     return 0

@@ -23,6 +23,7 @@ def run(args: argparse.Namespace) -> int:
     need("completion", "completion", "shtab")
     import shtab
 
+    # A script holds every command's options, so here all modules are imported.
     parser, _ = command_line(lambda _: True)
     print(shtab.complete(parser, args.shell))
     return 0

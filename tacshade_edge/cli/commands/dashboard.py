@@ -22,7 +22,8 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.regular_files import read_regular
 
 ANY: Final = ("0.0.0.0", "::")
-_TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")  # valid in a URL and in a cookie
+# What is valid both in a URL and in a cookie, which the page makes of it.
+_TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,128}")
 _TOKEN_BYTES: Final = 24
 _FILE_BYTES_MAX: Final = 4096
 
@@ -81,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
     start_logging(args.log_level)
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
+    # Everything that can be wrong is found before the port is opened.
     if args.recordings is not None and not args.recordings.is_dir():
         raise ConfigError(
             f"--recordings {args.recordings}: found no folder, expected a folder with recordings"
@@ -88,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token = read_token(args.token_file) if args.token_file else None
+    # Anyone may open the page on the machine itself; elsewhere only who has a token.
     is_new = token is None and (is_opened or args.token_file is not None)
     if is_new:
         token = make_token(args.token_file)
@@ -96,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
     def listening(host: str, port: int) -> None:
         name = socket.gethostname() if host in ANY else host
         scheme = "https" if tls else "http"
+        # After the #, which browsers send to nobody: no proxy and no log sees the token.
         path = f"login#{token}" if is_new else ""
         page = f"{scheme}://{in_url(name)}:{port}/{path}"
         how = ", read-only" if read_only else ""
@@ -111,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
     async def serve() -> None:
         stop = asyncio.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
+            # In the loop's thread: a signal's own handler may not touch an Event.
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         access = {"tls": tls, "token": token, "read_only": read_only, "recordings": args.recordings}
         await server.run(
@@ -142,12 +147,14 @@ def _origin(text: str) -> str:
         raise argparse.ArgumentTypeError(
             f"found {text!r}, expected a page's address such as https://hand.example.org"
         )
+    # As browsers send it: in lower case, without a path.
     return f"{parts.scheme}://{parts.netloc}".lower()
 
 
 def is_loopback(host: str) -> bool:
     """Whether only this machine can reach an address; False for any name except ``localhost``."""
     try:
+        # Another name may resolve to any address, tomorrow to another one.
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
@@ -181,6 +188,8 @@ def make_token(path: Path | None) -> str:
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     if path is not None:
         try:
+            # Made with its final permissions: between making it and changing them, others could
+            # open it.
             with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as stream:
                 stream.write(f"{token}\n")
         except OSError as error:

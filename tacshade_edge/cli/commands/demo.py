@@ -22,7 +22,8 @@ from tacshade_edge.lab.demo import demo_hand, touchpad
 from tacshade_edge.lab.demo.child import Child, broker_command, free_port, wait_for_port
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 
-FPS: Final = 20  # a laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170
+# A laptop draws a simulated frame in 10 to 40 ms, rarely in up to 170.
+FPS: Final = 20
 HTTP: Final = 8080
 START_S: Final = 30.0
 CHECK_PERIOD_S: Final = 0.5
@@ -51,13 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
-    need("demo", "demo", "websockets")  # before a minute of work
+    # The page needs it; said before a minute of work.
+    need("demo", "demo", "websockets")
     interrupt = _Interrupt()
     http = _free(args.listen, HTTP) if args.http is None else args.http
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         (folder / "recordings").mkdir()
         children = _Children(folder, stack)
+        # A broker of its own: whoever has one already must not find strange sensors there.
         mqtt = free_port()
         broker = children.start("broker", broker_command(folder, mqtt))
         token = None if is_loopback(args.listen) else make_token(folder / _TOKEN)
@@ -178,6 +181,7 @@ def _play(args: argparse.Namespace, children: _Children, interrupt: _Interrupt, 
 
 def _free(host: str, port: int) -> int:
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        # As the dashboard does: a port whose last connections time out is free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))

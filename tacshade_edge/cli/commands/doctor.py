@@ -92,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
             args.parser.error(mistake)
     if args.images:
         return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
+    # Checks can take seconds: each finding is shown as it comes.
     findings, seen = [], Seen()
     machine = Machine()
     found = (
@@ -103,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
         findings.append(finding)
         if not args.json:
             print(
+                # A person may have switched colours off everywhere: https://no-color.org.
                 shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ),
                 flush=True,
             )
@@ -121,6 +123,8 @@ def run(args: argparse.Namespace) -> int:
         )
         if args.bundle is not None:
             print(f"wrote {args.bundle}; look through it before you share it")
+    # As every other command returns for such a file; without settings, the other findings say
+    # little.
     if any(finding.check == SETTINGS for finding in faults):
         return EXIT_CONFIG
     return EXIT_FAILED if faults else EXIT_OK
@@ -136,6 +140,7 @@ def shown(finding: Finding, *, colour: bool) -> str:
 
 def _calibration(args: argparse.Namespace) -> Calibration:
     if args.calibration is not None:
+        # Whoever asks what is wrong with a file does not want it replaced by a newer one.
         return loading.load(args.calibration, store=False)
     found = loading.find_calibration(load(args.config, args.sensor))
     if isinstance(found, Reason):
@@ -188,6 +193,7 @@ def _shares_left(
     without the extra `fit`, for a flat skin, and for a profile without a network nothing is known.
     """
     known = PROFILES[profile].network is not None and not is_flat(calibration.geometry)
+    # The judges need none of these packages, and their answer stands without this figure.
     if not paths or not known or not all(map(find_spec, ("numba", "scipy"))):
         return {}
     from tacshade_edge.lab.fitting.explained import shares_left

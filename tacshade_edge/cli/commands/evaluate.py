@@ -65,6 +65,8 @@ def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
 
 def _simulated(args: argparse.Namespace) -> int:
     presses = PRESSES if args.presses is None else args.presses
+    # None at all asks for references alone; too few would be refused only after the pictures are
+    # drawn.
     if 0 < presses < MIN_PRESSES:
         args.parser.error(f"--presses: found {presses}, expected 0 or at least {MIN_PRESSES}")
     if args.references == 0:
@@ -130,6 +132,7 @@ def _labelled(args: argparse.Namespace) -> int:
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
     calibration = loading.load(args.calibration, store=False)
     study.make_folder(args.out)
+    # One for all frames: a network is loaded once.
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}
     known, mistakes, refused, progress = [], 0, "", Progress()
@@ -155,6 +158,8 @@ def _labelled(args: argparse.Namespace) -> int:
     every = [row for some in rows.values() for row in some]
     texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
     study.publish(args, "labels", *texts, labels.document(every, made_of))
+    # Of another sensor's calibration every frame is refused; a table of nothing would look like a
+    # result.
     if not any(row.contact or not row.refused for row in every):
         warn(
             f"{args.images}: every frame is invalid, the first: {refused}; are they this "

@@ -70,6 +70,7 @@ def _export_hand(args: argparse.Namespace) -> int:
     """Export what the recorded fingers' hand would have published;
     log unreadable images and then return 1.
     """
+    # A hand has no depth of its own, and so no points for PLY.
     if args.to not in ("csv", "mcap"):
         raise ConfigError(
             f"--to: found {args.to} for {len(args.input)} recordings, expected csv or mcap"
@@ -118,7 +119,8 @@ def _export(
 
     try:
         settings = recorded_settings(content)
-    except ConfigError:  # the settings of another version of this program
+    # Settings of another version of this program: they only give a name.
+    except ConfigError:
         settings = None
     sensor_id = SENSOR_ID if settings is None else settings.sensor_id
     return mcap_export(
@@ -127,8 +129,10 @@ def _export(
 
 
 def _beside(recording: Path, to: str) -> Path:
+    # The folder may be given as `.`, which has no name.
     recording = recording.resolve()
     name = (
+        # A recording that was cut off still has the name of an incomplete file.
         recording.name.removesuffix(".part").removesuffix(".mcap")
         if is_mcap(recording)
         else recording.name

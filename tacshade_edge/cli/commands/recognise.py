@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     images = images_in(args.images)
     calibration = loading.load(args.calibration)
     known = calibration.known.get(args.profile)
+    # The profiles' networks see different depths, so each has descriptions of its own.
     if not known:
         path = objects_file.path_beside(args.calibration)
         expected = "expected some, from `tacshade-edge teach`"
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
             seen.append(description)
     together = None
     if args.same_object:
+        # Together: one touch may fit several objects, and all of them only one.
         answer = make_recogniser(known).answer(np.stack(seen)) if seen else Answer()
         together = {"touches": len(seen), **_answer(answer)}
     if args.json:

@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     done = _Done()
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / _SUMMARY).unlink(missing_ok=True)  # it describes all files beside it
+        # It describes all files beside it: an old one must not stand beside new files.
+        (args.out / _SUMMARY).unlink(missing_ok=True)
         _reconstruct(args, calibration, images, done)
         if done.tiles:
             write_picture(args.out / SHEET, contact_sheet(done.tiles))
@@ -132,7 +133,8 @@ def _reconstruct(
                 done.tiles.append(tile(path.stem, image, result))
         named = encodable(str(path))
         done.records.append({"image": named, **summary(result), "elapsed_ms": elapsed_ms})
-        if not result.valid:  # its record reports this too, and its height is 0 everywhere
+        # Its record reports this too, but its height is 0 everywhere, as of no contact.
+        if not result.valid:
             progress.warn(f"{path}: invalid: {text_of(result.reason)}")
             done.invalid += 1
         progress("images", index + 1, len(images))
@@ -149,6 +151,7 @@ def _write(path: Path, result: Reconstruction) -> None:
         for name in ("shear_mm", "sigma_mm")
         if getattr(result, name) is not None
     }
+    # Always there, so that a reader needs no case for it.
     arrays["untrusted"] = (
         np.zeros(height.contact.shape, bool) if result.untrusted is None else result.untrusted
     )
@@ -156,4 +159,5 @@ def _write(path: Path, result: Reconstruction) -> None:
     np.savez_compressed(
         stream, **arrays, points_mm=cloud.points_mm, labels=cloud.labels.astype(np.int32)
     )
+    # To wait for the disk takes longer than an image; after a power cut, the command is repeated.
     write_whole(path, stream.getvalue(), sync=False)

@@ -24,6 +24,7 @@ from tacshade_edge.settings import load
 from tacshade_edge.wire.codec import decode_object
 from tacshade_edge.wire.requests import RECORD_NAME, RECORD_NAME_RULE, RECORD_S_MAX
 
+# A daemon answers at once; what still waits for a slow disk when a recording ends takes longer.
 ANSWER_S, WRITTEN_S, PERIOD_S = 3.0, 20.0, 0.5
 STATUS = "status/recorder"
 
@@ -58,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     links.check_broker_files(document)
     stop = threading.Event()
     for signal_number in (signal.SIGTERM, signal.SIGINT):
+        # Ctrl-C ends the recording and not this command, which still has to say what was recorded.
         signal.signal(signal_number, lambda *_: stop.set())
     address, sensor_id = links.broker_address(document), document.settings.sensor_id
     caller = MqttCaller(address, sensor_id=sensor_id, verb="record", watched=(STATUS, "state"))
@@ -76,7 +78,8 @@ def run(args: argparse.Namespace) -> int:
         f"{folder}: {counted(ended['frames'], 'frame')}, {ended['bytes'] / 1e6:.1f} "
         f"MB{dropped}{early}"
     )
-    if reason := ended.get("reason"):  # as in `status/recorder`
+    # As `status/recorder` states it: only of an end that nobody asked for.
+    if reason := ended.get("reason"):
         raise DeviceError(
             f"{folder}: the recording stopped: {reason}; the recorded frames are kept"
         )
@@ -95,6 +98,7 @@ def _follow(
     caller: MqttCaller, folder: str, seconds: float, stop: threading.Event
 ) -> dict[str, Any]:
     """Show the recording's progress until it is over; return the daemon's last status of it."""
+    # The daemon keeps the time; one that is still silent long after it hangs or is gone.
     progress, deadline_s = Progress(), time.monotonic() + seconds + WRITTEN_S
     try:
         while not stop.is_set():
@@ -107,7 +111,8 @@ def _follow(
                 return _last_words(caller, folder)
             progress("frames", status.get("frames", 0), None)
             caller.wait_for(stop.is_set, PERIOD_S)
-        with suppress(DeviceError):  # it may have just ended by itself
+        # It may have ended by itself just now; then its status says how.
+        with suppress(DeviceError):
             return caller.ask({"action": "stop"}, WRITTEN_S)
         return _last_words(caller, folder)
     finally:
@@ -134,5 +139,6 @@ def _status(caller: MqttCaller, folder: str) -> dict[str, Any]:
     """Return the ``status/recorder`` of this recording; empty until it arrives."""
     with suppress(DecodeError):
         status = decode_object(STATUS, caller.latest(STATUS) or b"{}")
+        # The topic keeps the status of an earlier recording, until this one begins.
         return status if status.get("folder") == folder else {}
     return {}

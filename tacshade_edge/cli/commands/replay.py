@@ -115,6 +115,7 @@ def _mistake(args: argparse.Namespace) -> str:
             if against is not None
             else "expected INPUT, or --out DIR and --against DIR to compare two runs"
         )
+    # Opened for its calibration below, a missing recording would only seem to lack one.
     if args.calibration is None and not args.input.exists():
         raise ConfigError(f"{shown(args.input)}: found nothing, expected a recording")
     if args.calibration is None and CALIBRATION_NAME not in content_of(args.input):
@@ -130,6 +131,7 @@ def _mistake(args: argparse.Namespace) -> str:
         )
     if args.loop == 0 and out is not None:
         return "--loop 0 never ends and would fill --out DIR, expected at least 1"
+    # Resolved, because the same folder has many names.
     if out is not None and against is not None and out.resolve() == against.resolve():
         return "--out and --against name the same folder, which the replay would overwrite"
     return ""
@@ -140,7 +142,8 @@ def _replay(args: argparse.Namespace) -> int:
     recording = _opened(args)
     given = args.calibration
     calibration = loading.of_recording(args.input) if given is None else loading.load(given)
-    assert calibration is not None  # `_mistake` has checked it
+    # `_mistake` has checked it.
+    assert calibration is not None
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     # SIGINT too: a shell's background jobs start with it ignored.
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -157,6 +160,8 @@ def _replay(args: argparse.Namespace) -> int:
                 played = link.playback = _playback(args, link)
         if args.out is not None:
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
+            # Without `finish`, as after an error, nothing of the run stays: half a run would
+            # compare as one that differs.
             stack.callback(writer.discard)
             sinks.append(writer.add)
         # `progress` counts a frame after all sinks, so add one.
@@ -206,7 +211,10 @@ def _started_link(
 
 def _playback(args: argparse.Namespace, link: ReplayLink) -> Playback:
     return Playback(
-        lambda: Recording(args.input, fps=args.fps), args.speed or 1.0, link.report_playback
+        # A person watches: at the recorded pace, and not as fast as possible.
+        lambda: Recording(args.input, fps=args.fps),
+        args.speed or 1.0,
+        link.report_playback,
     )
 
 
@@ -237,6 +245,7 @@ def _broker(args: argparse.Namespace) -> BrokerAddress | None:
 
 
 def _sensor_id(text: str) -> str:
+    # `tacshade/hand/...` are the topics of hands.
     if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
         raise argparse.ArgumentTypeError(
             f"found {text}, expected letters, digits, - and _, but not the word hand"

@@ -37,11 +37,14 @@ def run(args: argparse.Namespace) -> int:
     documents = load_all(args.config)
     if not documents[0].several:
         start_logging(args.log_level, documents[0].settings.sensor_id, each_line=False)
-        gc.freeze()  # the collector would search all modules while a frame waits
+        # The collector would search all modules, for 15 ms, while a frame waits.
+        gc.freeze()
         return _run_sensor(documents[0])
-    from tacshade_edge.daemon import hand_process  # only a hand or several sensors need it
+    # Only a hand or several sensors need it.
+    from tacshade_edge.daemon import hand_process
 
     hand = load_hand(args.config)
+    # Lines between processes have to be there before the supervisor forks.
     lines = hand_process.Lines(hand.fingers if hand else ())
     shared_lines: dict[str, SharedLine] = {}
     if any(document.settings.serial for document in documents):
@@ -64,6 +67,7 @@ def _run_sensor(
     document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None
 ) -> int:
     check_files(document)
+    # A calibration of an older version is made anew and stored, so that it takes this time once.
     calibration = loading.find_calibration(document, store=True)
     source = sources.make_source(document.settings.source, loading.size_px(calibration))
     app = App(document, source, calibration, hand_line, robot_line)
@@ -75,7 +79,9 @@ def _run_sensor(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, stop)
+    # At a terminal, SIGHUP says that it was closed, and ends the daemon.
     if not os.isatty(0):
         signal.signal(signal.SIGHUP, lambda *_: app.reload())
     app.run()
+    # A sensor that was not meant to end is started again; 0 says that its source has ended.
     return EXIT_STOPPED if stopped and document.several else EXIT_OK

@@ -56,8 +56,10 @@ source: {kind: simulated}
 recorder: {folder: recordings}
 """
 _NO_OBJECT = "none"
-_SEED_STRIDE = 1000  # so that every image of a set has a different noise seed
-_PAD_SEED, _PAD_DEPTH_MM = 500_000, 2.7  # deep: below the bulges' tops
+# So that every image of a set has a noise seed of its own.
+_SEED_STRIDE = 1000
+# Deep: the skin has to reach below the tops of the pad's bulges.
+_PAD_SEED, _PAD_DEPTH_MM = 500_000, 2.7
 _PAD_STEP_LEAST_MM, _PAD_STEP_MOST_MM = 0.5, 20.0
 _TRUTH_STEP_MM = 0.25
 # Standard deviations of the noise in POSES_NOISY.csv:
@@ -153,6 +155,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             if args.out is not None:
                 _write_scenes(sensor, args)
+        # Only the simulator knows which presses it can draw.
         except ValueError as error:
             raise ConfigError(f"cannot simulate: {error}") from error
         if args.pad is not None:
@@ -210,7 +213,8 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
     at = shlex.quote(str(folder))
     print(NEXT_FIT)
     print(_calibrate(at, f" --presses {at}/PRESSES.csv --fit"))
-    if model == SensorModel():  # the one that `source: {kind: simulated}` simulates
+    # The one that `source: {kind: simulated}` simulates.
+    if model == SensorModel():
         (folder / "config.yaml").write_text(_SETTINGS, encoding="utf-8")
         print(f"  tacshade-edge run --config {at}/config.yaml")
 
@@ -303,9 +307,11 @@ def write_pad(
         raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, {expected}")
     poses = pads.scan(pad, step_mm, depth_mm, apex_mm)
     folder.mkdir(parents=True, exist_ok=True)
-    _write_sensor(model, folder)  # without flange_T_sensor: sensor and flange coincide
+    # Without flange_T_sensor: sensor and flange coincide, as in the poses below.
+    _write_sensor(model, folder)
     _write_references(_sensor(model), folder, seed)
     names = [f"press_{k:04d}.png" for k in range(len(poses))]
+    # Away from the noise of the references, whose seed is the same.
     noise_seed = seed * _SEED_STRIDE + _PAD_SEED
     tasks = [(model, pose.seven(), noise_seed + k) for k, pose in enumerate(poses)]
     with workers(cluster) as pool:
@@ -313,6 +319,7 @@ def write_pad(
             names, reported_map(_image, tasks, pool, Progress(), "presses"), strict=True
         ):
             (folder / name).write_bytes(data)
+    # What a robot states is never exact; with these, a refinement has something to do.
     noisy = pads.disturbed(poses, apex_mm, _NOISE_MM, _NOISE_DEG, seed)
     for table, stated in (("POSES.csv", poses), ("POSES_NOISY.csv", noisy)):
         rows = [

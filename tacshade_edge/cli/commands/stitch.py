@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(
         source, "--recording", "INPUT", "a recording; each settled contact counts as one press"
     )
-    add_profile(parser, default="accurate")  # a map may take longer
+    # Nobody waits for a map as for a frame.
+    add_profile(parser, default="accurate")
     add_option(
         parser,
         "--out",
@@ -92,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
     if args.find_flange and args.fusion != TILES:
         raise ConfigError("--fusion: found --find-flange as well, which makes no map")
     calibration = loading.load(args.calibration)
+    # The truth is read first: a mistake in it should not wait for the presses.
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
     apex_mm = calibration.geometry.apex_z_mm
@@ -107,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
         presses = read_recording(
             calibration, profile, Recording(args.recording), str(args.recording)
         )
+    # A press into the air is part of a scan; an image that nobody can read is a mistake.
     failed = [press for press in presses if press.failed]
     for press in failed:
         warn(f"{press.where}: {press.skipped}")
@@ -134,10 +137,12 @@ def _write_map(
     finished = averaged(presses) if args.fusion == MEAN else stitcher.finish()
     about = {"profile": args.profile, "fusion": args.fusion, **_details(presses, finished)}
     if known is not None:
+        # What the paper does with the same presses, for comparison.
         average = finished if args.fusion == MEAN else averaged(presses)
         about["score"] = score(finished.raster, known).as_json()
         about["paper"] = score(average.raster, known).as_json()
         if finished.refined:
+            # Once more without the refinement, to show what it is worth.
             about["unrefined"] = score(stitcher.finish(None).raster, known).as_json()
         pictures["comparison.png"] = comparison_png(known, finished.raster, average.raster)
     write_map(args.out, finished.raster, about, pictures)
@@ -161,6 +166,7 @@ def _print(out: Path, about: dict[str, Any]) -> None:
 
 
 def _details(presses: Sequence[MapPress], finished: FinishedMap) -> dict[str, Any]:
+    # The map keeps the used presses in order, without the skipped ones.
     placed = iter(finished.presses)
     records = []
     for press in presses:
@@ -179,9 +185,8 @@ def _details(presses: Sequence[MapPress], finished: FinishedMap) -> dict[str, An
 
 
 def _line(s: dict[str, Any]) -> str:
-    covered = (
-        "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"
-    )  # a flat surface
+    # Of a flat surface, nothing is raised that could be covered.
+    covered = "nothing" if s["raised_coverage"] is None else f"{100 * s['raised_coverage']:.1f} %"
     return f"RMS {s['rms_mm']:.3f} mm over {s['covered_mm2']:.0f} mm², raised {covered} covered"
 
 

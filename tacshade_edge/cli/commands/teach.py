@@ -109,6 +109,7 @@ def _from_images(
         found = {
             profile: each for profile, each in touched.descriptions.items() if each is not None
         }
+        # All profiles or none: `auto` would otherwise forget the object as it changes to another.
         if len(found) < len(profiles):
             progress.warn(f"{touched.name}: {TOO_LIGHT}")
             continue
@@ -130,6 +131,7 @@ def _live(document: Document, path: Path, name: str, wanted: int) -> int:
             flush=True,
         )
         for taken, (profile, description, depth_mm) in enumerate(_described(results), 1):
+            # Read anew each time: touches take minutes, in which somebody else may teach as well.
             known = objects_file.taught(objects_file.load(path), profile, name, description[None])
             objects_file.save(path, known)
             print(f"touch {taken} of {wanted}: {depth_mm:.2f} mm deep", flush=True)
@@ -175,6 +177,7 @@ def deepest_of_each(results: Iterable[Result]) -> Iterator[Result]:
     """Yield the result of the deepest frame of each contact, after its end."""
     deepest: Result | None = None
     for result in results:
+        # Neither shows a form, and a contact may go on behind them.
         if not result.valid or result.touched:
             continue
         if result.in_contact:

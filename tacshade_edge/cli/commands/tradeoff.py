@@ -93,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
     drawn = args.plot and study.will_draw(args, "tradeoff.png")
     profiles = tuple(dict.fromkeys(args.profile or PROFILES))
     mistakes: list[str] = []
+    # A calibration alone gives a twin; only with images it is judged on those.
     if args.images is not None and study.is_own(args, ("sensors", "objects", "cluster")):
         calibration, cases, mistakes = study.own_images(args)
         some = settings(profiles, calibration)
@@ -110,6 +111,8 @@ def run(args: argparse.Namespace) -> int:
         args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
     asked = [args.outputs] if args.outputs else [*((name,) for name in every), every]
     rows, busy = measure(some, asked, calibration, judged, Progress())
+    # Figures are processor time, which another program's load does not change, but a table should
+    # say that it was there.
     if busy > BUSY:
         warn(
             f"the machine was busy: frames took {busy:.1f} times as long as the processor time "
@@ -184,9 +187,11 @@ def _report(args: argparse.Namespace) -> int:
             )
     if args.json:
         args.parser.error("--report prints Markdown: expected no --json")
+    # Fixed, because a report is compared with those of other boards.
     args.report, args.outputs, args.sensors = False, ("height",), study.sensors("default")
     args.profile = [name for name, profile in PROFILES.items() if profile.network]
     machine = Machine()
+    # Before the work, which heats the board: a throttled processor explains slow frames.
     facts, before = board_facts(machine), heat(machine)
     code = run(args)
     facts |= {"before": before, "after": heat(machine)} if before else {}
@@ -205,7 +210,8 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
         small.image_width_px > WIDEST_PX
         and small.image_width_px % 2 == small.image_height_px % 2 == 0
     ):
-        small, times = halved_calibration(small), 2 * times  # four times as fast
+        # Each halving makes the search four times as fast.
+        small, times = halved_calibration(small), 2 * times
     progress("finding the sensor's print", 0, None)
     found = identify.identify(small)
     if not found:
@@ -215,6 +221,7 @@ def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
         )
     model, layout = found[0].at(found[0].values)
     if isinstance(layout, lattice.Tips):
+        # A pixel of the small image covers several: its middle is between theirs.
         layout = lattice.Tips(layout.px * times + (times - 1) / 2)
     at, whole = (
         ("image_height_px", "image_width_px", "row_c", "col_c", "disc_radius_px"),

@@ -30,6 +30,7 @@ def learn_touches(
     Raises ConfigError for an unreadable image or too few rows of every quantity.
     """
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
+    # Found before the images are read, which takes minutes.
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(
             f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count
@@ -40,6 +41,7 @@ def learn_touches(
     size = f"{calibration.image_width_px}x{calibration.image_height_px}"
     results, progress = [], Progress()
     for profile in PROFILES.values():
+        # `paper` has no network to learn from.
         if profile.network is not None:
             frames = _frames(labelled, size, partial(progress, f"frames ({profile.name})"))
             results.append(learn_touch(calibration, profile, frames))

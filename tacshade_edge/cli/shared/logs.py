@@ -19,6 +19,7 @@ from typing import Any, Final, TextIO
 from tacshade_edge import libsystemd
 from tacshade_edge.quoting import escaped
 
+# Where sd_journal_sendv(3) writes.
 _JOURNAL: Final = "/run/systemd/journal/socket"
 _ROOM_S: Final = 0.1
 """How long a message waits for room in the journal's queue before it goes the way of stderr."""
@@ -33,6 +34,8 @@ _KINDS_MAX: Final = 128
 one until a quiet text is forgotten.
 """
 _TEXT_CHARS_MAX: Final = 200
+# Numbers that stand alone, as counts and measurements do. Those within names, paths, addresses and
+# times stay: they tell texts apart.
 _NUMBER: Final = re.compile(r"(?<![\w/.:-])\d+(?:\.\d+)?(?![\w/:-]|\.\d)")
 
 Text = tuple[str, str, str]
@@ -65,6 +68,7 @@ def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) ->
     installed, else its priority alone.
     """
     handler: logging.Handler
+    # A process of one sensor need not repeat its name; the journal still gets it as a field.
     of = sensor_id if each_line else ""
     if not _is_journal():
         handler = OneLineHandler(stamped=True, of=of)
@@ -72,6 +76,7 @@ def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) ->
         handler = FieldsHandler(library.send, of=of, sensor_id=sensor_id)
     else:
         handler = OneLineHandler(prioritised=True, of=of)
+    # `force`: a daemon starts the log again as soon as its settings name the sensor.
     logging.basicConfig(level=level, handlers=[handler], force=True)
     # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
@@ -106,6 +111,8 @@ class Limit:
         """Whether to log one more message that says this; if not, count it as left out."""
         name, form, _ = text
         if self._is_too_many(text):
+            # Those that are quiet again would pass like new ones, so nothing is lost with them;
+            # counts that nobody has reported yet stay.
             kept = {
                 key: kind
                 for key, kind in self._kinds.items()
@@ -114,6 +121,8 @@ class Limit:
             self._kinds = kept
         if self._is_too_many(text):
             text = (name, form, form)
+        # A format may itself be made from data and so vary without end; then all further ones count
+        # as one.
         key = text if text in self._kinds or len(self._kinds) < 2 * _KINDS_MAX else ("", "", "")
         kind = self._kinds.setdefault(key, _Kind(AT_ONCE, now_s))
         kind.free, kind.at_s = kind.free_at(now_s), now_s
@@ -162,9 +171,8 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
     def emit(self, record: logging.LogRecord) -> None:
         now_s = time.monotonic()
         self._report(now_s)
-        said = _NUMBER.sub(
-            "#", record.getMessage()[:_TEXT_CHARS_MAX]
-        )  # without counts and measurements
+        # Messages that differ in counts and measurements alone say the same.
+        said = _NUMBER.sub("#", record.getMessage()[:_TEXT_CHARS_MAX])
         if self._limit.passes((record.name, str(record.msg), said), now_s):
             self.write(record)
 
@@ -178,6 +186,7 @@ class OneLineHandler(logging.StreamHandler[TextIO]):
 
     def _report(self, now_s: float, *, all_of_them: bool = False) -> None:
         for name, message, count in self._limit.take_left_out(now_s, all_of_them=all_of_them):
+            # Written past the limit, which would leave out this line too.
             text = "left out %d more lines like this: %s"
             self.write(
                 logging.LogRecord(name, logging.WARNING, __file__, 0, text, (count, message), None)
@@ -194,6 +203,7 @@ class FieldsHandler(OneLineHandler):
     def __init__(self, send: Callable[..., None], *, of: str, sensor_id: str) -> None:
         super().__init__(prioritised=True, of=of)
         self._send = send
+        # Only formats: an entry has the priority as a field, not in front of its text.
         self._entry = OneLineHandler(of=of)
         self._fields = {"SYSLOG_IDENTIFIER": "tacshade-edge"}
         self._fields |= {"SENSOR_ID": sensor_id} if sensor_id else {}
@@ -212,7 +222,8 @@ class FieldsHandler(OneLineHandler):
                 self._send(self._entry.format(record), **place, **self._fields)
                 return
         except OSError:
-            pass  # no journal there, or an entry that it does not take
+            # No journal is there, or it does not take this entry: a line on stderr still arrives.
+            pass
         super().write(record)
 
 
@@ -239,4 +250,6 @@ class _Escaping(logging.Formatter):
 class _Prioritising(_Escaping):
     def format(self, record: logging.LogRecord) -> str:
         lines = super().format(record).split("\n")
+        # journald reads a priority at the start of each line, so every line of a traceback needs
+        # one.
         return "\n".join(f"<{priority_of(record.levelno)}>{line}" for line in lines)

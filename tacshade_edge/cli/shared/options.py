@@ -36,6 +36,7 @@ def need(what: str, extra: str, *packages: str) -> None:
     imports none of them.
     """
     for package in packages:
+        # Only looks for the package: to import PyTorch takes seconds.
         if importlib.util.find_spec(package) is None:
             raise ConfigError(
                 f"{what}: the package {package} is not installed; to install it: "
@@ -111,6 +112,7 @@ def number(
         try:
             value = kind(text)
         except ValueError:
+            # In no range, so that both mistakes give the same line.
             value = math.nan
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
@@ -134,6 +136,8 @@ def address(default_port: int | None = None) -> Callable[[str], tuple[str, int]]
         with suppress(ValueError):
             parts = urlsplit(f"//{text}")
             host, port = parts.hostname, parts.port
+            # urlsplit also takes apart what is no address: a path, a user, a port that is missing
+            # after its colon.
             if host and parts.netloc == text and parts.username is None and not text.endswith(":"):
                 if default_port is not None:
                     return host, default_port if port is None else port

@@ -12,8 +12,10 @@ from typing import Final, TextIO
 
 PERIOD_S: Final = 10.0
 _TERMINAL_PERIOD_S: Final = 0.1
+# From here on nobody needs the seconds.
 _MINUTES_FROM_S: Final = 90.0
-_ESTIMATE_AFTER_S: Final = 1.0  # of work, after which the remaining time is estimated
+# So much work has to be done before its speed says something of the rest.
+_ESTIMATE_AFTER_S: Final = 1.0
 
 
 class Progress:
@@ -29,7 +31,8 @@ class Progress:
         self._live = self._stream.isatty()
         self._what = ""
         self._began_s = self._said_s = clock()
-        self._is_open = False  # the terminal's line has not ended yet
+        # The terminal's line has not ended yet.
+        self._is_open = False
 
     def __call__(self, what: str, done: int, total: int | None) -> None:
         """Report progress if it is time to; a different name
@@ -39,7 +42,11 @@ class Progress:
         if what != self._what:
             self.end()
             self._what, self._began_s = what, now_s
+            # A terminal shows the first count at once; a log gets a line only from work that takes
+            # longer than a period.
             self._said_s = -math.inf if self._live else now_s
+        # The last count replaces an older one on the terminal, which would else stay there as if
+        # the work had stopped.
         is_last = done == total
         if now_s - self._said_s < (_TERMINAL_PERIOD_S if self._live else PERIOD_S) and not (
             is_last and self._is_open
@@ -58,6 +65,7 @@ class Progress:
         if not self._live:
             print(text, file=self._stream, flush=True)
             return
+        # Back to the line's start and erase it: the new text may be shorter than the old one.
         print(f"\r\033[K{text}", end="", file=self._stream, flush=True)
         self._is_open = True
         if is_last:

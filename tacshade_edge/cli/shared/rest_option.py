@@ -40,6 +40,7 @@ def _rate(text: str) -> float:
     try:
         rate = float(text)
     except ValueError:
+        # In no range, so that both mistakes give the same line.
         rate = math.nan
     if not _RATE_LEAST <= rate <= _RATE_MOST:
         raise argparse.ArgumentTypeError(f"found {text}, expected 1e-9 to 0.1")
@@ -54,6 +55,7 @@ def rest_of(
 
     Raises ConfigError.
     """
+    # The references were taken of the untouched sensor too.
     named = [(f"reference {k}", image) for k, image in enumerate(references, start=1)]
     counting = named if len(named) >= REFERENCES_LEAST else []
     rate = FALSE_CONTACTS if args.false_contacts is None else args.false_contacts
@@ -64,6 +66,7 @@ def rest_of(
 
 
 def _images(path: Path) -> Iterator[tuple[str, U8]]:
+    # Rounded up, so that at most IMAGES_MAX are left. Only reading a recording tells its length.
     every = max(-(-sum(1 for _ in _entries(path)) // IMAGES_MAX), 1)
     for entry in _entries(path):
         if entry.seq % every == 0:
@@ -108,6 +111,7 @@ def rest_lines(
         " which may be less than the true ones on a skin that it does not know",
     ]
     if presses:
+        # With the new limits: whether they hide presses is what a person has to know of them.
         made = make_reconstructor(replace(calibration, rest=learnt.limits), PROFILES[DEFAULT])
         results = [(made.step(Frame(0, 0, 0, press.image)), press.depth_mm) for press in presses]
         missed_mm = [depth for one, depth in results if not (one.contact or one.touched)]

@@ -34,6 +34,7 @@ def sensors(text: str) -> tuple[SensorName, ...]:
 
 def objects(text: str) -> tuple[str, ...]:
     """Read ``NAME,...``. Raises argparse.ArgumentTypeError."""
+    # Each once, in the order in which a person named them.
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     if unknown := [name for name in names if name not in OBJECTS]:
         raise argparse.ArgumentTypeError(
@@ -93,6 +94,7 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
         )
     calibration, paths = loading.load(args.calibration), images_in([args.images])
     make_folder(args.out)
+    # Grows while the iterator runs: only its end tells whether the command failed.
     mistakes: list[str] = []
     report = Progress()
 
@@ -112,6 +114,7 @@ def will_draw(args: argparse.Namespace, files: str) -> bool:
     and prints a line if matplotlib is missing.
     """
     missing = importlib.util.find_spec("matplotlib") is None
+    # A missing picture is no reason to lose the minutes of work behind the tables.
     if args.out and missing:
         warn(f"{files} will be missing without matplotlib: {how_to_install('studies')}")
     return args.out is not None and not missing

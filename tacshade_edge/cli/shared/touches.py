@@ -46,6 +46,7 @@ def touched_images(
         try:
             image = read_image(path)
         except DecodeError as error:
+            # The other images may still be enough to teach or to name the object.
             progress.warn(error)
             yield None
             continue
