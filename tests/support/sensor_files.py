@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import cv2
+import pytest
 import yaml
 
 from support.calibrated_sensor import HALF, presses, references
+from tacshade_edge.cli import main
 
 
 def write_files(folder: Path) -> list[str]:
@@ -40,3 +43,29 @@ def write_files(folder: Path) -> list[str]:
         "--reference",
         *names,
     ]
+
+
+def with_table(words: list[str], path: Path, rows: list[list[str]]) -> list[str]:
+    """The words of `calibrate` with another table,
+    whose first column names images of the first one.
+    """
+    folder = Path(words[3]).parent
+    with path.open("w", newline="") as stream:
+        csv.writer(stream).writerows(
+            [rows[0], *([str(folder / row[0]), *row[1:]] for row in rows[1:])]
+        )
+    return [*words[:3], str(path), *words[4:]]
+
+
+def rows_of(words: list[str]) -> list[list[str]]:
+    return [line.split(",") for line in Path(words[3]).read_text().splitlines()]
+
+
+def refused(command: list[str], capsys: pytest.CaptureFixture[str], code: int = 78) -> str:
+    """The one line of a command that makes no file."""
+    assert main(command) == code
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1
+    assert text.startswith("tacshade-edge: ")
+    assert not Path(command[command.index("--out") + 1]).exists()
+    return text

@@ -12,6 +12,7 @@ import cv2
 import pytest
 import yaml
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.sensor_files import write_files
 
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli.commands import simulate
@@ -19,6 +20,18 @@ from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.lab.simulator.pad import Bar, Pad
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.types import RestLimits
+
+
+@pytest.fixture(scope="module")
+def words(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Words of `calibrate`: SENSOR.yaml, presses and references."""
+    return write_files(tmp_path_factory.mktemp("sensor"))
+
+
+@pytest.fixture(scope="module")
+def alone(words: list[str]) -> list[str]:
+    """SENSOR.yaml and references, without presses."""
+    return [*words[:2], *words[4:]]
 
 
 @pytest.fixture(scope="module")
