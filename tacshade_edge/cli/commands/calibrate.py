@@ -96,16 +96,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fit",
         "also train the networks on a simulated twin: minutes, with the extra `fit`",
     )
-    add_option(
-        parser,
-        "--touches",
-        "IMG",
-        (
-            "pictures of touches without labels, or folders: "
-            "they choose the twin of --fit and judge it"
-        ),
-        nargs="+",
+    text = (
+        "pictures of touches without labels, or folders: they choose the twin of --fit and judge it"
     )
+    add_option(parser, "--touches", "IMG", text, nargs="+")
     add_option(
         parser, "--labels", "LABELS.csv", "learn quantities from this table's labelled frames"
     )

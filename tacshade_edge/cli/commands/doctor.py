@@ -77,6 +77,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print every finding; return 78 for bad settings and 1 for any other fault."""
+    _check_options(args)
+    if args.images:
+        return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
+    findings, seen, machine = [], Seen(), Machine()
+    found = (
+        check_tail(machine, measure_tail())
+        if args.tail
+        else diagnose(args.config, machine, seen, args.sensor)
+    )
+    # A person may have switched colours off everywhere: https://no-color.org.
+    colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+    # Checks can take seconds: each finding is shown as it comes.
+    for finding in found:
+        findings.append(finding)
+        if not args.json:
+            print(shown(finding, colour=colour), flush=True)
+    if args.bundle is not None:
+        write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
+    faults, warnings = (
+        [each for each in findings if each.state == state] for state in ("fault", "warning")
+    )
+    if args.json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        counts = f"faults: {len(faults)}, warnings: {len(warnings)}"
+        print(counts if faults or warnings else "all is well")
+        if args.bundle is not None:
+            print(f"wrote {args.bundle}; look through it before you share it")
+    # As every other command returns for such a file; without settings, the other findings say
+    # little.
+    if any(finding.check == SETTINGS for finding in faults):
+        return EXIT_CONFIG
+    return EXIT_FAILED if faults else EXIT_OK
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """End with a usage error if options contradict each other."""
     mistakes = {
         "--with-frame: found no --bundle FILE, expected both": args.with_frame
         and args.bundle is None,
@@ -90,44 +127,6 @@ def run(args: argparse.Namespace) -> int:
     for mistake, is_made in mistakes.items():
         if is_made:
             args.parser.error(mistake)
-    if args.images:
-        return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
-    # Checks can take seconds: each finding is shown as it comes.
-    findings, seen = [], Seen()
-    machine = Machine()
-    found = (
-        check_tail(machine, measure_tail())
-        if args.tail
-        else diagnose(args.config, machine, seen, args.sensor)
-    )
-    for finding in found:
-        findings.append(finding)
-        if not args.json:
-            print(
-                # A person may have switched colours off everywhere: https://no-color.org.
-                shown(finding, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ),
-                flush=True,
-            )
-    if args.bundle is not None:
-        write_bundle(args.bundle, findings, seen, with_frame=args.with_frame)
-    faults, warnings = (
-        [each for each in findings if each.state == state] for state in ("fault", "warning")
-    )
-    if args.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=2))
-    else:
-        print(
-            f"faults: {len(faults)}, warnings: {len(warnings)}"
-            if faults or warnings
-            else "all is well"
-        )
-        if args.bundle is not None:
-            print(f"wrote {args.bundle}; look through it before you share it")
-    # As every other command returns for such a file; without settings, the other findings say
-    # little.
-    if any(finding.check == SETTINGS for finding in faults):
-        return EXIT_CONFIG
-    return EXIT_FAILED if faults else EXIT_OK
 
 
 def shown(finding: Finding, *, colour: bool) -> str:
