@@ -241,6 +241,7 @@ def _carry(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=True)
 def _undo(now, pressed, radius, step, friction, before):  # type: ignore[no-untyped-def]
+    # A fixed point, as in the simulator: shear is small beside the lengths over which it changes.
     for p in range(len(now)):
         x, y = now[p, 0], now[p, 1]
         for _ in range(INVERSE_STEPS):

@@ -266,5 +266,6 @@ def shares_left(
         return {k: twin.unexplained(change, made[k]) for k, change in seen.items()}
 
     tried = [left_by(found) for each in candidates(calibration, prints) for found in each]
+    # One print for all pictures: each would otherwise choose the one that flatters it.
     best = min(tried, key=lambda lefts: sum(lefts.values()), default={})
     return [best.get(k) for k in range(len(images))]

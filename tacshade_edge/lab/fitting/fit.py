@@ -131,7 +131,7 @@ def _judged(
 ) -> dict[str, tuple[FittedNetwork, NetworkReport]]:
     """Judge every network by presses, or else by touches."""
     held_out = task.held_out()
-    # White tips show where pins are, and not how long they are: presses alone can tell.
+    # White tips show where pins are, and not how long they are: presses or touches can tell.
     alone = LENGTH_UNKNOWN if task.prints[0].kind.white_tips else WHOLE_WAY
     return {
         name: judged(task.calibration, presses, touches, held_out, name, weights[name], alone)

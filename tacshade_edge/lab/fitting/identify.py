@@ -103,7 +103,7 @@ def identify(
     begun: list[Begun] = []
     for kind in KINDS:
         begun += _begun(seen, kind)
-    # Every kind begins, few are finished: refining takes most of the time.
+    # Every kind begins, few are finished: to refine one takes `DRAWN` pictures for each of `BOXES`.
     begun.sort(key=lambda each: each[0][1])
     # As a part of what a flat grey picture would leave, so that prints of any contrast compare.
     spread = float(seen.reference[seen.white.inside].std())

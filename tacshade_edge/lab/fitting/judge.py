@@ -187,6 +187,7 @@ def error_scale_of(name: str, left: float) -> float:
     change may hide a wrong scale: nothing shrinks σ.
     """
     sigma = load_network(name).sigma
+    # Networks without a model of their errors have no σ to scale.
     alone = 1.0 if sigma is None else sigma.scale_without_presses
     return alone * max(1.0, math.sqrt(left / USUAL_LEFT))
 
@@ -366,5 +367,6 @@ def chosen(errors: Mapping[float, float | None], alone: float) -> float:
     None is the greatest.
     """
     known = {part: math.inf if error is None else error for part, error in errors.items()}
+    # Presses are few: a small lead among the parts is chance.
     best = min(known, key=known.__getitem__)
     return best if known[best] < CLEARLY * known[alone] else alone

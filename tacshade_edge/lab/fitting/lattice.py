@@ -157,6 +157,7 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
     geometry, pitch = calibration.geometry, pitch_mm_of(calibration)
     r = geometry.skin_radius_mm
     chart = equal_area(sphere_points(geometry, tips_px, r - length_pitches * pitch), r)
+    # The radius of the circle on the chart of equal area.
     reach = 2 * r * math.sin(math.radians(geometry.visible_half_angle_deg) / 2)
     # Towards the rim lattices widen, which the fit finds afterwards.
     chart = chart[np.linalg.norm(chart, axis=1) < 0.62 * reach]
@@ -164,6 +165,7 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
         return None
     tree = cKDTree(chart)
     steps = np.concatenate([chart[tree.query_ball_point(p, 1.9 * pitch)] - p for p in chart])
+    # Not the difference of a point with itself.
     steps = steps[np.linalg.norm(steps, axis=1) > 0.4 * pitch]
     if len(steps) < 24:
         return None
@@ -194,6 +196,7 @@ def find_lattice(calibration: Calibration, tips_px: F64, length_pitches: float) 
             if far < 0.28 * pitch and int(q) not in index:
                 index[int(q)] = (index[k][0] + di, index[k][1] + dj)
                 queue.append(int(q))
+    # Of fewer, chance makes lattices too.
     if len(index) < 10:
         return None
     columns = np.column_stack((np.ones(len(index)), np.array(list(index.values()), float)))

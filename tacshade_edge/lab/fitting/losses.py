@@ -42,6 +42,7 @@ def depth_loss(
     slope = slope + (weight[:, :, 1:] * (off[:, :, 1:] - off[:, :, :-1]).abs()).mean()
     edge = functional.binary_cross_entropy_with_logits(logit, contact)
     p = torch.sigmoid(logit)
+    # The 20 keep a contact of a few cells from deciding over the loss of a batch.
     dice = 1 - (2 * (p * contact).sum((1, 2)) + 20) / ((p + contact).sum((1, 2)) + 20)
     seen = functional.adaptive_avg_pool2d(1 - untrusted[:, None], COARSE_CELLS)
     strange = functional.binary_cross_entropy_with_logits(odds.float(), 1 - seen)

@@ -143,6 +143,7 @@ class PatchRenderer(TwinRenderer):
         pins = self._pins_on(skin, smoothed(skin, float(np.mean(marks.pin_base_mm))))
         tips = pins.base_mm - pins.normal * marks.pin_length_mm[:, None] + pins.lead_mm
         camera_mm = self.model.camera_distance_mm
+        # Orthographic: nothing grows.
         far_mm = np.ones(len(tips)) if camera_mm is None else tips[:, 2] + camera_mm
         return project(self.model.geometry, tips), far_mm
 

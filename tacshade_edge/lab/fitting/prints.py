@@ -205,6 +205,7 @@ def lattice_px(model: SensorModel, lattice: Lattice, steps: F64) -> F64:
     (N, 2), col and row.
     """
     r = model.skin_radius_mm
+    # Tips lie on a sphere below the skin, by the length of the pins.
     tips = equal_area_to_direction(lattice.at(steps, r), r) * (r - NOMINAL_PITCHES * model.pitch_mm)
     return project(model.geometry, tips)
 

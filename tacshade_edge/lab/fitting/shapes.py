@@ -269,7 +269,8 @@ def _bumpy(rng: Rng) -> Sdf:
         rng.uniform(1.0, 4.0, n),
         rng.uniform(-2.5, 2.5, n),
     )
-    steep = float(np.sum(np.abs(top) / width)) * 0.61  # the greatest slopes of the Gaussians
+    # The greatest slopes of the Gaussians.
+    steep = float(np.sum(np.abs(top) / width)) * 0.61
     # Heights above a slope are longer than the distance to it: divided by its length, they are no
     # longer too large.
     slope = 1 / math.sqrt(1 + min(steep, 4.0) ** 2)

@@ -145,6 +145,7 @@ def uneven_skin(
     flat = undeformed(model.skin_radius_mm)
     # On domes only: a fit simulates no twin of a flat skin.
     floor = obstacle_of(model.skin_radius_mm, presses, leaning_mm)
+    # Objects that do not reach the skin leave it as it is.
     if not floor.any():
         return flat
     weight = mass_weight(model.skin_radius_mm, flat.step_mm, floor.shape[0] // 2)
@@ -294,6 +295,7 @@ def true_shear(skin: Skin, model: SensorModel, seen: Disc) -> F32:
     rows = np.repeat(grid.row0 + grid.step_px * np.arange(N // 2), N // 2)
     cols = np.tile(grid.col0 + grid.step_px * np.arange(N // 2), N // 2)
     inside = within(geometry.disc, rows, cols) & within(seen, rows, cols)
+    # At half the resolution, which is that of the networks for shear.
     shear = np.zeros((N * N // 4, 2), np.float32)
     if skin.height_mm.any():
         shear[inside] = compiled.shear_mm(

@@ -62,8 +62,8 @@ def _draw(k: int, frames: int, cells: int, rng: np.random.Generator) -> tuple[np
         max(int(rng.integers(-cells // 4, int(0.85 * cells))), 0),
         int(rng.integers(3, cells // 2)),
     )
-    # Each kind is a fault that cameras had: a lost packet shifts or repeats rows, a full buffer
-    # mixes two frames.
+    # Each kind is a way in which pictures go wrong: rows are lost, repeated or of another frame, or
+    # the camera has moved.
     source, kind = k, int(rng.integers(5))
     end = cells if rng.random() < 0.7 else min(cells, row + int(rng.integers(6, cells)))
     rows, cols = np.arange(cells, dtype=np.float32), np.arange(cells, dtype=np.float32)

@@ -53,6 +53,7 @@ class TorchNetwork:
     def __init__(self, name: str) -> None:
         frame, once = network_files(name)
         self._nodes = [node for node in nodes_of(frame) if node.kind != "Constant"]
+        # A graph that was exported by a later tool would otherwise train into something else.
         if unknown := {node.kind for node in self._nodes} - set(OPERATIONS):
             raise ValueError(f"operations {', '.join(sorted(unknown))} are not known here")
         self._weights: dict[str, Tensor] = {}

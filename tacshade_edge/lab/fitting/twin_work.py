@@ -108,6 +108,7 @@ def _prepare(done: SynchronizedArray[int]) -> None:
     """
     global _steps_done
     _steps_done = done
+    # More threads would only wait for those of the other workers.
     torch.set_num_threads(1)
 
 
@@ -121,6 +122,7 @@ def _simulate(task: Task, seed: int) -> None:
 
 def _train(task: Task, name: str, number: int) -> None:
     network, effort = TorchNetwork(name), task.effort
+    # The last batches are held out, whichever network is trained.
     seeds = range(effort.batches - effort.held_out)
     parts = [task.steps.frames(_frames_name(seed)) for seed in seeds]
     maps = training.maps_of(task.calibration, parts, name)

@@ -59,6 +59,7 @@ def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
         )
         return f"| {' | '.join(padded)} |"
 
+    # Colons align the columns where Markdown is shown; padding does in a terminal.
     rule = [":" + "-" * (w - 1) if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
     return "\n".join([row(header), row(rule), *(row(line) for line in lines)])
 
@@ -114,6 +115,7 @@ def new_figure(
     for each in axes.flat:
         each.spines[["top", "right"]].set_visible(False)
         each.grid(color="#e6e6e6", linewidth=0.8)
+        # The grid behind the points, not through them.
         each.set_axisbelow(True)
     return figure, axes
 

@@ -74,6 +74,7 @@ class NullFigures:
 
 def figures(rows: Iterable[Row]) -> Figures:
     """Means over the rows with a true contact."""
+    # Frames without contact have no errors: they are counted in `null_figures`.
     some = [r for r in rows if r.true_points]
     empty, touched = sum(math.isnan(r.me_mm) for r in some), sum(r.touched for r in some)
 
@@ -91,6 +92,7 @@ def figures(rows: Iterable[Row]) -> Figures:
         backward_mm=mean_mm("backward_mm"),
         sd_pct=_mean(r.sd_pct for r in some),
         sd_sum_pct=_mean(r.sd_sum_pct for r in some),
+        # An own truth may have points and no map of the contact.
         iou=_mean(r.iou for r in some if not math.isnan(r.iou)),
         # A depth that is not known is wrong by all of it.
         depth_error_pct=_mean(100.0 if r.touched else abs(r.depth_error_pct) for r in some),
@@ -129,6 +131,7 @@ def table(rows: Sequence[Row]) -> str:
 
 def _family_table(rows: Sequence[Row]) -> str:
     profiles = markdown.grouped(rows, "profile")
+    # In the order of the rows, which is that of the command.
     objects = list(dict.fromkeys(r.object for r in rows if r.true_points))
     blocks = (
         ("The paper's five objects", [o for o in objects if o in PAPER_OBJECTS]),

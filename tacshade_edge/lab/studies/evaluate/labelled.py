@@ -156,7 +156,8 @@ def _mapped(quantity: str, found: F64, true: F64) -> Agreement | None:
 
 def spearman(one: F64, other: F64) -> float:
     """Spearman's rank correlation; NaN if one does not vary."""
-    from scipy.stats import rankdata  # takes a second, which whoever does not rank need not spend
+    # The import takes a second, which whoever does not rank need not spend.
+    from scipy.stats import rankdata
 
     # Mean ranks for equal values, as labels are often rounded.
     a, b = (rankdata(values) - (len(values) + 1) / 2 for values in (one, other))

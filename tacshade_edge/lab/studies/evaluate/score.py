@@ -40,9 +40,11 @@ def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudSc
     """Compute ME and SD of a cloud (N, 3), given the true points (M, 3;
     M > 0) and the true maximum of h.
     """
-    from scipy.spatial import cKDTree  # scoring is not on the daemon's path
+    # Scoring is not on the path of the daemon.
+    from scipy.spatial import cKDTree
 
     if not len(points_mm):
+        # There is no distance to nothing; means of many frames put the true depth in its place.
         return CloudScore(math.nan, 0.0, 0.0, math.nan)
     # Eq. 13 looks one way only, from the found to the true points: what is missing costs nothing
     # there. Hence the way back, which eq. 14 contains too.
@@ -60,6 +62,7 @@ def score_cloud(points_mm: F32, true_points_mm: F32, h_max_mm: float) -> CloudSc
 
 def contact_iou(found: Bool, true: Bool) -> float:
     """Intersection over union of two contact maps; 1 when both are empty."""
+    # Both empty agree.
     union = np.count_nonzero(found | true)
     return 1.0 if union == 0 else np.count_nonzero(found & true) / union
 
@@ -362,6 +365,8 @@ def _check_covers(
 ) -> None:
     """Raise DecodeError for a map that leaves a margin of a step or more of the image uncovered."""
     step = grid[2]
+    # A map may be coarser than the picture, but must reach all of its edges: a smaller one is of
+    # another picture.
     for origin, count, size in zip(grid[:2], shape, image_size_px, strict=True):
         if not -step < origin < step or not -step < size - 1 - (origin + step * (count - 1)) < step:
             raise DecodeError(

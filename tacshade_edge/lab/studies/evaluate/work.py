@@ -89,6 +89,7 @@ class SensorName:
             )
         if seed == "default":
             return cls(family, None)
+        # str.isdigit alone accepts digits of other scripts, and int a sign.
         if not (seed.isascii() and seed.isdigit() and len(seed) < 10):
             raise ValueError(f"found {seed!r}, expected a seed (a whole number) or default")
         return cls(family, int(seed))
@@ -310,6 +311,7 @@ def evaluate(
         for name, made in zip(sensors, found, strict=True)
         for what in (*objects, None)
     ]
+    # A job is one object on one sensor, whose pictures are drawn once for all profiles.
     job = partial(_rows, tuple(profiles), depths_mm, null_frames)
     return list(
         chain.from_iterable(reported_map(job, tasks, workers, report, "objects pressed"))
@@ -373,6 +375,7 @@ def read_images(
                 )
             truth, name = read_truth(path.with_suffix(".npz"), size, calibration.geometry)
         except DecodeError as error:
+            # One bad picture of a hundred must not lose the others.
             mistake(str(error))
             continue
         yield Case(

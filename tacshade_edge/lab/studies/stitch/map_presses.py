@@ -109,7 +109,8 @@ def read_recording(
         frame = recorded.frame
         result = reconstructor.step(frame)
         if result.touched:
-            continue  # it is no press, and ends none
+            # It is no press, and ends none.
+            continue
         # As in the daemon: only a skin at rest shows the shape, not the way into it.
         if not rest.update(result.t_ns, result.valid and result.contact, result.depth_max_mm):
             continue
@@ -164,7 +165,8 @@ PRESSES_MAX = 200
 # opposite signs.
 _MOVING_MAX = 4
 _MOVING_MM_S, _MOVING_DEG_S = 2.0, 2.0
-_DEPTH_MM = 0.5  # less is noise
+# Less is noise.
+_DEPTH_MM = 0.5
 # On each side: a delay may be that long.
 _TRACK_NS = 300_000_000
 
@@ -173,6 +175,7 @@ def frames_of_presses(presses: Sequence[MapPress], flange_T_sensor: Rigid) -> li
     """Contact frames of posed images, for which the robot is assumed to stand still."""
     sensor_T_flange = flange_T_sensor.inverse()
     used = [press for press in presses if not press.skipped]
+    # Rounded up, so that no more than the limit remain.
     used = used[:: -(-len(used) // PRESSES_MAX) or 1]
     return [
         ContactFrame(
@@ -220,8 +223,10 @@ def read_contact_frames(
         result = reconstructor.step(frame)
         contact = result.valid and result.contact
         if result.touched:
-            rests = False  # it is no press, and ends none
+            # It is no press, and ends none.
+            rests = False
         else:
+            # A press begins when a contact does; all frames until its end share its number.
             number += contact and not touching
             touching = contact
             rests = rest.update(result.t_ns, contact, result.depth_max_mm)
@@ -258,6 +263,8 @@ def _chosen(contacts: Sequence[_Contact], track: Sequence[Pose]) -> list[Contact
     found = []
     for press, number in enumerate(numbers):
         own = [contact for contact in contacts if contact.number == number]
+        # At rest, a delay does not matter, and the frame shows the pose; in motion, it is what
+        # shows.
         moving = [contact for contact in own if not contact.rests]
         even = (
             np.unique(np.linspace(0, len(moving) - 1, _MOVING_MAX + 2).round().astype(int)[1:-1])
@@ -266,6 +273,7 @@ def _chosen(contacts: Sequence[_Contact], track: Sequence[Pose]) -> list[Contact
         )
         for contact in [*(contact for contact in own if contact.rests), *(moving[k] for k in even)]:
             pose = track[contact.at]
+            # The delay is found later: whichever it is, the pose of that time must be there.
             around = (pose,) if contact.rests else _around(track, contact.at)
             found.append(ContactFrame(contact.points, press, pose.t_ns, around))
     return found

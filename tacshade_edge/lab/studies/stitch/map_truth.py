@@ -48,6 +48,7 @@ class Score:
 def read_known(path: Path) -> Raster:
     """Read PAD.npz. Raises ConfigError if it is not readable, or not a map."""
     try:
+        # A stranger's file: it must not ask for all memory.
         npz = read_arrays(path, _BYTES_MAX)
         x0, y0, step = (float(numbers(npz, key, 0)) for key in ("x0_mm", "y0_mm", "step_mm"))
         z = numbers(npz, "z_mm", 2, nan=True)
@@ -82,6 +83,7 @@ def score(found: Raster, known: Raster) -> Score:
             "the known surface and the map share no cell; are the poses in the surface's frame?"
         )
     error = found.z_mm[both].astype(np.float64) - true[both]
+    # Half the height of the bulges, wherever the frame has its origin.
     low, high = float(np.nanmin(known.z_mm)), float(np.nanmax(known.z_mm))
     half = (low + high) / 2
     with np.errstate(invalid="ignore"):

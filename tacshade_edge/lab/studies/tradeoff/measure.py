@@ -73,6 +73,7 @@ class Offer:
         """Frames in contact per second that each finger can have, at most a core each,
         in `HELD` of the processor.
         """
+        # A finger cannot use two cores: its frames follow each other.
         return HELD * 1000 / self.times.mean_ms * min(1.0, cores / fingers)
 
 
@@ -195,6 +196,7 @@ def _estimates(errors: F64) -> list[list[Estimate]]:
     drawn = np.random.default_rng(0).integers(max(count, 1), size=(DRAWS, count))
     values = _mean(errors[None])[0]
     draws = _mean(errors[drawn]) if count >= LEAST else np.full((1, *values.shape), np.nan)
+    # Whole scenes are drawn anew (Efron 1979): errors of the cells of a scene go together.
     ends = np.percentile(draws, (2.5, 97.5), axis=0)
     return [
         [Estimate(*map(float, each)) for each in zip(*some, strict=True)]

@@ -45,6 +45,7 @@ def _peak_mib(task: tuple[Setting, Calibration, Sequence[U8]]) -> float:
     made = setting.make(calibration)
     for image in images:
         made.step(Frame(0, 0, 0, setting.image(image)))
+    # The peak, because a step takes temporary memory that is free again afterwards.
     return (_peak_kib() - before) / 1024
 
 
@@ -88,6 +89,7 @@ class Timed:
         )
         # The first frame imports and allocates.
         self._touched = [image for image in self._touched if "depth" in self.frame(image)]
+        # Settings get equal time, not equally many frames: fast ones need more of them for a p99.
         usual_ms = sum(self.frame(self._touched[0]).values()) if self._touched else math.inf
         self._count = min(len(self._touched), max(1, int(SLICE_MS / usual_ms)))
 
