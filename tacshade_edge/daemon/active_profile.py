@@ -21,12 +21,15 @@ from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import Calibration, Frame
 
 WINDOW_FRAMES = 60
-LATE_FRAMES = WINDOW_FRAMES // 10  # the budget applies to 90 % of the frames
-MARGIN = 0.8  # a better profile is tried if it is expected to need at most this share of the budget
+# The budget applies to 90 % of the frames.
+LATE_FRAMES = WINDOW_FRAMES // 10
+# A better profile is tried if it is expected to need at most this share of the budget.
+MARGIN = 0.8
 PATIENCE_S, LONGEST_PATIENCE_S = 30.0, 960.0
 # A step up that does not last this many frames was a failed try: a minute at 30 frames a second.
 TRIAL_FRAMES = 1800
-STEPS_A_MINUTE = 6  # for a ladder of three: two tries, their returns, and two earlier steps down
+# For a ladder of three: two tries, their returns, and two earlier steps down.
+STEPS_A_MINUTE = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,8 @@ class ProfileChooser:
 _log = logging.getLogger(__name__)
 
 REHEARSALS = 10
+# A budget that is missed now and then is reported once, not each time. journald could only count
+# all lines of the service, and would drop others with these.
 CALM_S = 60
 
 
@@ -221,8 +226,10 @@ class ActiveProfile(FrameObserver):
 
     def step(self, step: Step) -> bool:
         """Take a step; return False if its chooser was replaced meanwhile."""
+        # A request or a reload came between the step and this thread, and chose.
         if step.chooser is not self._chooser:
             return False
+        # All of the ladder is kept, so a step under load costs nothing.
         before = self.name
         self.reconstructor = self._kept[step.profile]
         self._steps["steps_up" if step.up else "steps_down"] += 1
@@ -284,6 +291,8 @@ class ActiveProfile(FrameObserver):
         """
         self.choice, self._late_logged, self._calm_s = choice, False, 0
         names = LADDER if choice == AUTO and self.budget_ms is not None else (choice,)
+        # Built before `reconstructor` is replaced: the reconstruct thread goes on with the old
+        # one, and no frame waits for the reading of a network.
         self._kept = {name: ready.get(name) or self._made(calibration, name) for name in names}
         if choice != AUTO or self.budget_ms is None:
             self._chooser = None
@@ -312,4 +321,5 @@ def step_cost_ms(reconstructor: Reconstructor) -> float:
         reconstructor.step(frame)
         reconstructor.depth(image)
         took_ns.append(time.monotonic_ns() - begin_ns)
+    # The least: whatever else runs at a start only adds to it.
     return min(took_ns) / 1e6

@@ -96,6 +96,7 @@ class App:
         )
         self._references = self._make_references(calibration)
         self.active = parts.make_active(settings, self._references.calibration, self._events.put)
+        # After the robot, to which they connect themselves.
         self._sessions = parts.make_sessions(settings, self.link, self._robot)
         self._publisher = parts.make_publisher(settings, self.link, self.ledger)
         timings = Timings()
@@ -200,12 +201,15 @@ class App:
             self.link.start()
             for observer in self._observers:
                 observer.start()
+            # Last: what consumes frames is there before what makes them.
             self._pipeline.start()
             notify("READY=1")
             self._loop()
             self._shut_down()
 
     def _loop(self) -> None:
+        # One loop for all that is not urgent. Events wake it; between them, it sleeps until the
+        # next message is due.
         next_health_s = next_preview_s = time.monotonic()
         while True:
             now_s = time.monotonic()
@@ -266,10 +270,14 @@ class App:
             )
             _log.warning("%s", note)
             if self._missing():
+                # Without one that runs, the reason of every frame is why this file cannot be
+                # used.
                 self.active.use(Reason(ReasonCode.NOT_CALIBRATED, f"not calibrated: {error}"))
                 self._publish_info()
         else:
             self._document, settings = document, document.settings
+            # References first, since they may use another calibration than the file's; then the
+            # reconstructor; then those that only take note.
             self._references.reload(calibration, reference_file.path_beside(settings.calibration))
             self.active.reload(
                 settings.profile,
@@ -335,6 +343,7 @@ class App:
         self.link.reply(request, requests.encode_reply(request, outcome))
 
     def _on_outcome(self, stream: str, seq: int, outcome: PayloadOutcome) -> None:
+        # Other streams are extras; a frame's outcome is that of its height.
         if stream == "height":
             self.ledger.settle(seq, "failed" if outcome == "refused" else outcome)
 
@@ -357,8 +366,6 @@ class App:
     def _source_changed(self, state: SourceState) -> None:
         for observer in self._observers:
             observer.source_changed(state)
-
-    # Publishing.
 
     def _publish_info(self) -> None:
         settings, reference = self._document.settings, self._references.info()

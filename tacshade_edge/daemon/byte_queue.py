@@ -27,6 +27,8 @@ class ByteQueue(Generic[T]):
         `reserve_bytes` above the limit are for this kind of item.
         """
         with self._ready:
+            # An item alone always fits: a frame larger than the queue must not be refused for
+            # ever.
             if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
                 return False
             self._items.append((item, size_bytes))
@@ -36,6 +38,7 @@ class ByteQueue(Generic[T]):
 
     def take(self, timeout_s: float) -> T | None:
         with self._ready:
+            # Closed is not empty: what waits is still taken.
             self._ready.wait_for(lambda: self._items or self._closed, timeout_s)
             if not self._items:
                 return None

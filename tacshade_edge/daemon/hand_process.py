@@ -71,12 +71,16 @@ class Lines:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
+        # A byte that all processes see: each finger looks at it for each frame, without a system
+        # call.
         self._wanted = mmap.mmap(-1, 1)
         self.fingers: dict[str, FingerLine] = {}
         self.hand: dict[str, socket.socket] = {}
         for name in names:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
             ours.setblocking(False)
+            # Neither end waits: a finger drops a report for a hand that hangs, and the hand takes
+            # what is there.
             theirs.setblocking(False)
             self.hand[name], self.fingers[name] = ours, FingerLine(theirs, self._wanted)
 
@@ -87,7 +91,7 @@ class Lines:
                 away(Reason(ReasonCode.DAEMON_STOPPED, "the sensor's process has ended"))
             )
 
-    def want(self, wanted: bool) -> None:
+    def want(self, *, wanted: bool) -> None:
         """Notify all fingers whether somebody listens to the hand."""
         self._wanted[0] = wanted
 
@@ -99,7 +103,8 @@ class Lines:
             return None
 
 
-PERIOD_NS: Final = 100_000_000  # without contact; in contact, every frame is reported
+# Without contact; in contact, every frame is reported.
+PERIOD_NS: Final = 100_000_000
 
 
 class FingerReporter(FrameObserver):
@@ -144,8 +149,10 @@ _log = logging.getLogger(__name__)
 
 STREAM: Final = "objects"
 TICK_S: Final = 1.0
+# Of one finger, before the others have their turn.
 AT_ONCE: Final = 64
-LOOK_S: Final = 0.25  # between two checks for a new listener, a stop or a crash
+# Between two checks for a new listener, a stop or a crash, none of which wakes the selector.
+LOOK_S: Final = 0.25
 STOPPED_S: Final = 1.9
 
 
@@ -182,7 +189,8 @@ class HandProcess:
             notify("READY=1")
             self._loop()
         notify_stopping()
-        self._lines.want(False)
+        # Fingers would go on to compute depth for a hand that is gone.
+        self._lines.want(wanted=False)
         self._publish_health()
         self._link.stop(STOPPED_S)
         self._selector.close()
@@ -198,8 +206,8 @@ class HandProcess:
                 reason = self._link.reason
                 notify(f"STATUS={reason or 'publishing'}", "WATCHDOG=1")
             listened = self._link.has_listener(STREAM)
-            self._lines.want(listened)
-            self._aggregator.listen(listened, now_ns)
+            self._lines.want(wanted=listened)
+            self._aggregator.listen(now_ns, listened=listened)
             due_ns = self._aggregator.due_ns()
             if due_ns is not None and now_ns >= due_ns:
                 message = self._aggregator.message(now_ns, time.time_ns())
@@ -246,5 +254,6 @@ def run(hand: Hand, lines: Lines) -> None:
     process = HandProcess(hand, lines)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: process.stop())
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a reload changes only the fingers
+    # A reload changes only the fingers.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     process.run()

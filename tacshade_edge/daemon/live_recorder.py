@@ -35,7 +35,9 @@ from tacshade_edge.wire.messages import encode_status
 from tacshade_edge.wire.requests import Request
 
 _log = logging.getLogger(__name__)
-EVENTS_RESERVE_BYTES: Final = 256 * 1024  # an event fits when no frame does
+# An event fits when no frame does: what happened explains why frames are missing.
+EVENTS_RESERVE_BYTES: Final = 256 * 1024
+# A status changes with every frame while a recording goes on.
 STATUS_PERIOD_S: Final = 1.0
 
 
@@ -181,6 +183,7 @@ class LiveRecorder(FrameObserver):
         if self._queue.put(frame, frame.image.nbytes):
             return
         if recording is not None and recording.ending is None:
+            # Only this thread counts here; what the other one loses has a number of its own.
             recording.refused += 1
         else:
             self._refused += 1
@@ -203,6 +206,8 @@ class LiveRecorder(FrameObserver):
         which contains the old one.
         """
         self.event("reconstruction", profile=profile, calibration_crc32=calibration_crc32)
+        # Frames before it were published with another reference, which no recording can contain
+        # beside its own.
         if calibration_crc32 != self._calibration_crc32:
             self._calibration_crc32 = calibration_crc32
             self._thread.pre_roll.oldest_ns = time.monotonic_ns()

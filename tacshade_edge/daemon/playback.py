@@ -54,7 +54,8 @@ class PlaybackProgress:
     @property
     def recorded_seconds(self) -> float:
         """Duration by the recording's clock, s, including the last frame's mean period."""
-        if self.frames < 2:
+        # One frame has no period.
+        if self.frames <= 1:
             return 0.0
         return (self.last_ns - self.first_ns) / 1e9 * self.frames / (self.frames - 1)
 
@@ -157,6 +158,8 @@ class Playback:
         """Carry out a command and return the resulting status."""
         with self._wake:
             self._start = None
+            # The pace begins anew with the next frame: counted from the old beginning, frames
+            # would come in a burst after a pause or at another speed.
             paused = self._paused if command.paused is None else command.paused
             self._paused = paused or command.step or command.back
             self._steps += command.step
@@ -196,6 +199,7 @@ class Playback:
             with self._wake:
                 if self._first_ns is None:
                     self._first_ns = t_ns
+                # A command may have come while the frame was read.
                 if self._wound:
                     continue
                 wait_s = 0.0 if wound else self._wait_s(t_ns)
@@ -203,7 +207,9 @@ class Playback:
                     self._steps = max(self._steps - 1, 0)
                     self._last_ns, self._seq = t_ns, ahead.frame.seq
                     return ahead
+                # A command ends the wait. While paused, it ends by itself to repeat the status.
                 still_paused = not self._wake.wait(min(wait_s, REPORT_PERIOD_S)) and self._paused
+            # Without the lock: it publishes, and commands must not wait for that.
             if still_paused:
                 self._changed(self.status())
 
@@ -231,6 +237,7 @@ class Playback:
             self._recording = self._reopen()
             self._recording.skip_to(self._last_ns, frames=backs)
             return self._recording.read()
+        # Recordings are read forwards only: for what lies behind, from the beginning.
         seek_ns += self._first_ns or 0
         if seek_ns <= max(self._last_ns, ahead.frame.t_ns if ahead else 0):
             self._recording = self._reopen()
@@ -240,6 +247,7 @@ class Playback:
     def _end(self) -> None:
         with self._wake:
             self._paused, self._steps = True, 0
+        # A pause at the end, from which a person may go back.
         again = False
         while not again:
             self._changed(self.status())
@@ -251,7 +259,8 @@ class Playback:
                 )
         with self._wake:
             if not self._wound:
-                self._seek_ns = 0  # play again from the first frame
+                # Play again from the first frame.
+                self._seek_ns = 0
 
 
 CONNECT_S, HAND_OVER_S, STOP_S = 2.0, 5.0, 2.0

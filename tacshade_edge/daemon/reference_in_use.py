@@ -70,7 +70,9 @@ class References(FrameObserver):
         self._unowned: Reason | None = None
         self.frames = UntouchedFrames(self._measure)
         self._learners: dict[str, RestLearner] = {}
-        self._batch: Untouched | None = None  # waits until nothing has touched for a while
+        # Waits until nothing has touched for a while: the beginning of a slow touch looks
+        # untouched.
+        self._batch: Untouched | None = None
         self._request: tuple[Reply, float] | None = None  # and its deadline
         self._images: list[U8] | None = None  # what it collects, in the reconstruct thread
         self._collected: list[U8] | Reason | None = None
@@ -111,7 +113,9 @@ class References(FrameObserver):
             reply(Reason(ReasonCode.BUSY, "busy: already taking a reference"))
             return
         self._request = reply, time.monotonic() + REFERENCE_TIMEOUT_S
-        self._collected, self._images = None, []
+        # In this order: the reconstruct thread collects as soon as there is a list.
+        self._collected = None
+        self._images = []
 
     def need(self) -> Need:
         return Need.CONTACT if self._images is None else Need.DEPTH
@@ -211,6 +215,8 @@ class References(FrameObserver):
         if isinstance(self._origin, Reason) or isinstance(self.calibration, Reason):
             return
         if self._held():
+            # A recording holds one calibration: its replay with another would not be what was
+            # published.
             self._change_state("held", None)
             return
         self._looks += 1
@@ -218,7 +224,8 @@ class References(FrameObserver):
             self._change_state("stopped", frames)
             return
         followed = references.follow(self._origin.calibration, self.calibration, frames.images)
-        return_free_memory()  # the heap kept 7 MB
+        # Judging ten images leaves 7 MB of heap, and a sensor at rest looks once a minute.
+        return_free_memory()
         self._distance = followed.distance
         self._change_state("stopped" if followed.reason else "following", followed.reason)
         if followed.reason is None and frames.evidence:
@@ -228,6 +235,7 @@ class References(FrameObserver):
         if followed.calibration is not None and self.frames.at_rest:
             self.calibration = with_crc(followed.calibration)
             self._renewals += 1
+            # Not at a higher level: while a skin warms up, this happens every minute.
             _log.debug("reference renewed: %s", followed.distance)
             self._use(self.calibration)
 
@@ -241,6 +249,8 @@ class References(FrameObserver):
         profile = batch.profile
         learner = self._learners.setdefault(profile, RestLearner())
         learner.add(batch)
+        # The first limits bound all later ones, so that slow, light touches never widen them
+        # away.
         first = origin.calibrated.rest.get(profile)
         if first is None and profile in origin.limits:
             first = origin.limits[profile].first
@@ -299,6 +309,7 @@ class References(FrameObserver):
 
     def _begin(self, origin: Origin) -> None:
         self._origin = origin
+        # What was learnt belongs to the reference before.
         self._learners, self._batch = {}, None
         self.calibration = origin.calibration
         self._state, self._reason, self._distance = "waiting", None, None

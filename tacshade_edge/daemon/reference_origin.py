@@ -58,6 +58,7 @@ def restored(calibrated: Calibration, path: Path, unowned: Reason | None = None)
         stored = reference_file.load(path, calibrated)
     except ConfigError as error:
         _log.warning("%s; using the calibration's own reference", error)
+        # Another daemon that owns the file may still use the calibration that it was stored for.
         if error.code is ReasonCode.CALIBRATION_CHANGED and unowned is None:
             with contextlib.suppress(OSError):
                 path.unlink()

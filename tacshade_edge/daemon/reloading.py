@@ -28,10 +28,12 @@ def reload(
     changed. Raises ConfigError.
     """
     new = load(running.path, running.settings.sensor_id if running.several else None)
+    # Before anything is replaced: a reload that fails changes nothing.
     check_files(new)
     kept = {key: getattr(running.settings, key) for key in RESTART_KEYS}
     waiting = tuple(key for key, value in kept.items() if getattr(new.settings, key) != value)
     document = replace(new, settings=msgspec.structs.replace(new.settings, **kept))
+    # A daemon that waits for its first calibration goes on to wait if there still is none.
     find = loading.load_calibration if calibrated else loading.find_calibration
     return document, find(document), waiting
 

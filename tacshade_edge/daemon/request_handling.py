@@ -48,6 +48,7 @@ class RequestHandler:
             reply(self.status())
         elif request.verb == "replay":  # only `replay --play` accepts it
             reply(Reason(ReasonCode.UNAVAILABLE, "this daemon is not playing a recording"))
+        # Whatever follows needs a calibration.
         elif isinstance(running, Reason):
             reply(running)
         elif request.verb == "record":
@@ -74,6 +75,7 @@ class RequestHandler:
                 ReasonCode.UNKNOWN_PROFILE, f"profile: found {shown(name, 60)}, expected {expected}"
             )
         self.active.choose(name)
+        # After the choice: `info` and the recorder take note of what runs now.
         self.changed()
         _log.info("using profile %s", name)
         return ProfileChosen(self.active.name)

@@ -72,6 +72,7 @@ class SensorState:
         """The source's state, including what only the clock and the reconstruction show:
         a stall, unusable frames.
         """
+        # A read that hangs reports nothing, so only the clock shows it.
         silent_s = (time.monotonic_ns() - self._last_frame_ns()) / 1e9
         if self.source.state == "streaming" and silent_s > STALL_S:
             stalled = Reason(ReasonCode.STALLED, f"no frame for more than {STALL_S:.0f} s")
@@ -84,6 +85,7 @@ class SensorState:
     def publish(self, state: SourceState | None = None) -> None:
         """Publish what has changed; `state` takes the place of the one now."""
         camera, limit = state or self.now(), self._link.limited
+        # The loop asks several times a second; only changes go out.
         if camera == self.published and limit == self._published_limit:
             return
         if camera != self.published:
@@ -107,6 +109,7 @@ class SensorState:
             self._link.set_retained(
                 "status/broker", messages.encode_status("limited" if limit else "connected", limit)
             )
+        # The link itself publishes `stopped` as it ends.
         if camera.state != "ended":
             sound = camera.state == "streaming" and limit is None
             self._link.set_retained("state", b"online" if sound else b"degraded")

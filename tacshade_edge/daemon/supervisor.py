@@ -105,17 +105,23 @@ class Supervisor:
                 closing.callback(end.close)
             closing.callback(self._selector.close)
             for number in _SIGNALS:
+                # From a terminal, SIGHUP is the end of the terminal; else it asks for a reload.
                 if number is not signal.SIGHUP or not os.isatty(0):
                     closing.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+            # A handler may interrupt any line; a number in a socket waits until the loop reads it.
             wakeup = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
             closing.callback(signal.set_wakeup_fd, wakeup)
             for part in self._sensors:
-                if isinstance(part.of, Document):  # here, so that the processes share its memory
+                # In this process, so that those that it forks share the networks' memory.
+                if isinstance(part.of, Document):
                     preload(PROFILES.get(part.of.settings.profile, PROFILES[DEFAULT]))
-            "localhost".encode("idna")  # the codec that a broker's name needs; 2 MB with its tables
+            # For the same reason: the codec that a broker's name needs, 2 MB with its tables, and
+            # the module that finds the version.
+            "localhost".encode("idna")
             installed_version()
             gc.collect()
-            gc.freeze()  # else the collector writes to every page and so copies it
+            # Else the collector writes to every page and so copies it.
+            gc.freeze()
             mine = self._supervise(reader)
         return self._code() if mine is None else work(mine)
 
@@ -137,6 +143,7 @@ class Supervisor:
                 if self._is_over(self._parts):
                     return None
                 self._stop()
+            # Signals end the wait; its limit is how late a part may start again.
             for key, _ in self._selector.select(0.1):
                 if isinstance(key.data, _Part):
                     self._hear(key.data)
@@ -153,7 +160,8 @@ class Supervisor:
         part.again_s = part.heard_s = part.aborted_s = None
         part.status, part.began_s = "starting", time.monotonic()
         parent = os.getpid()
-        # Else one for the child reaches us.
+        # Until the child has its own handlers and socket, a signal for it would be written to our
+        # pipe, which both still share.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             try:
@@ -168,12 +176,14 @@ class Supervisor:
             # Its own group: if this process is killed,
             # the kernel wakes a stopped group that it leaves behind.
             os.setpgid(0, 0)
+            # The part reports to us; only we report to the real service manager.
             os.environ["NOTIFY_SOCKET"] = "@" + part.notices.getsockname()[1:].decode()
             self._closing.close()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:  # the parent has just ended
+        # The kernel signals only ends that come after prctl: the parent may have ended before.
+        if os.getppid() != parent:
             os._exit(0)
         return False
 
@@ -239,6 +249,7 @@ class Supervisor:
                     part.name,
                     WATCHDOG_S,
                 )
+                # SIGABRT first: Python's fault handler then logs where every thread hung.
                 part.aborted_s = now_s
                 _signal(part, signal.SIGABRT)
         if self._stopping_s is not None and now_s > self._stopping_s + STOP_USEC / 1e6:
@@ -261,6 +272,8 @@ class Supervisor:
             elif part.code == EXIT_CONFIG:
                 part.status = "bad settings, see the log; reload once they are fixed"
             elif part.code == EXIT_STOPPED:
+                # Somebody else's signal, since a stop of ours is handled above: the hand must
+                # not lose a finger by it.
                 self._start_again(part, "a signal ended its process")
             else:
                 self._start_again(part, f"its process exited with {part.code}")
@@ -289,6 +302,7 @@ class Supervisor:
         return all(not part.pid and part.again_s is None for part in parts)
 
     def _code(self) -> int:
+        # Only if no sensor can ever work: systemd does not start a service again after this code.
         codes = {sensor.code for sensor in self._sensors}
         return EXIT_CONFIG if codes == {EXIT_CONFIG} else 0
 

@@ -20,7 +20,8 @@ _log = logging.getLogger(__name__)
 STOP_USEC = 10_000_000
 """A stop takes 2 s; a board that is short of CPU time gets this much before it is killed."""
 
-_SEND_S = 1.0  # timeout for a manager that does not read
+# Timeout for a manager that does not read: the main thread waits meanwhile.
+_SEND_S = 1.0
 
 
 class Service:
@@ -39,6 +40,8 @@ class Service:
         reason = f" ({source.reason})" if source.reason else ""
         note = f"; {self._note}" if self._note else ""
         notify(f"STATUS={source.state}{reason}, {fps:.1f} frames/s{note}")
+        # Never by a bare timer: a daemon whose frames hang must be started again. One that waits
+        # for a camera works as long as it goes on trying.
         if self._progressed(degraded=source.state != "streaming"):
             notify("WATCHDOG=1")
 
@@ -85,12 +88,15 @@ def notify(*lines: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
-    message = "\n".join(map(escaped, lines))  # a line end in a reason would begin another message
+    # Escaped: a line end in a reason, which may quote a file, would begin another message.
+    message = "\n".join(map(escaped, lines))
     library = libsystemd.module("daemon")
     try:
         if library is None:
             _send(address, message)
         elif libsystemd.has_room(address, _SEND_S):
+            # Asked first, as libsystemd waits without limit, and its Python package holds the
+            # interpreter's lock while it does, which would stop all threads.
             library.notify(message)
         else:
             raise TimeoutError("timed out")

@@ -18,7 +18,9 @@ from tacshade_edge.wire.messages import encode_object
 
 _log = logging.getLogger(__name__)
 
-SETTLED_NS = 200_000_000  # an object has its name for this long before it is reported
+# An object has its name for this long before it is reported: as a contact begins, its shape passes
+# through those of other objects.
+SETTLED_NS = 200_000_000
 
 
 @dataclass(slots=True)
@@ -65,6 +67,7 @@ class ObjectEvents(FrameObserver):
     def _followed(self, result: Reconstruction, each: TouchedObject) -> _Named:
         known = self._objects.get(each.label if each.id is None else each.id)
         if known is None or known.name != each.name:
+            # Kept: a name that flickers and comes back is no news.
             reported = known.reported if known else None
             return _Named(each.name, result.t_ns, reported)
         if (
@@ -99,6 +102,7 @@ class TaughtObjects:
         try:
             known = objects_file.load(self._path)
         except ConfigError as error:
+            # Known as written by now, so that a bad file is reported once.
             _log.warning("%s; the objects stay as they were", error)
             return None
         names = {each.name for objects in known.values() for each in objects}
@@ -112,4 +116,6 @@ def _written(path: Path) -> tuple[int, int] | None:
         found = os.stat(path)
     except OSError:
         return None
+    # Files are replaced by renaming, twice perhaps within a tick of the file system's clock; the
+    # new one has another inode.
     return found.st_mtime_ns, found.st_ino

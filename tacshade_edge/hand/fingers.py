@@ -45,6 +45,7 @@ class HeldObject:
         patches = patches_of(
             {k: f for k, f in fingers.items() if f.t_ns is not None and now_ns - f.t_ns <= STALE_NS}
         )
+        # The end of all contacts is never skipped: the object is let go.
         if not patches or not 0 <= now_ns - self._fitted_ns < PERIOD_NS:
             self._fitted_ns = now_ns
             found = self._tracker.step(
@@ -147,13 +148,14 @@ class HandAggregator:
         self._seq = 0
         self._held = HeldObject()
 
-    def listen(self, listened: bool, now_ns: int) -> None:
+    def listen(self, now_ns: int, *, listened: bool) -> None:
         """Note whether anybody listens; when that begins, earlier reports no longer count."""
         if not listened:
             self._listened_ns = None
         elif self._listened_ns is None:
             self._listened_ns, self._published_ns, self._held = now_ns, 0, HeldObject()
             for name, finger in self._fingers.items():
+                # Otherwise the first message would show a touch of when somebody last listened.
                 self._heard_ns[name] = None
                 if finger.state != "away":
                     self._fingers[name] = _STARTING
@@ -177,6 +179,8 @@ class HandAggregator:
         if not self._news:
             return self._published_ns + QUIET_PERIOD_NS if self._published_ns else since_ns
         until_ns = self._news_ns + GATHER_NS
+        # Only for a finger whose next frame is due in that time. Cameras do not expose together,
+        # and each message once waited 3 ms for frames that could not come.
         waits = any(
             finger.state == "contact"
             and name not in self._news
@@ -214,8 +218,10 @@ def messages(fingers: Mapping[str, Reports]) -> Iterator[HandObjects]:
     named = [zip(own, repeat(name)) for name, own in fingers.items()]
     reports = heapq.merge(*named, key=lambda each: each[0][0])
     now_ns = wall_minus_t_ns = 0
+    # In the order in which the hand would have heard them; each recording is sorted already, so
+    # no more than a report of each finger is in memory.
     for (t_ns, wall_ns, finger), name in reports:
-        aggregator.listen(True, t_ns)
+        aggregator.listen(t_ns, listened=True)
         while (due_ns := aggregator.due_ns()) is not None and due_ns < t_ns:
             now_ns = max(now_ns, due_ns)
             yield aggregator.message(now_ns, now_ns + wall_minus_t_ns)

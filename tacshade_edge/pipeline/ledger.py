@@ -48,6 +48,7 @@ class FrameLedger:
 
     def captured(self, seq: int) -> None:
         with self._changed:
+            # After a stop, a thread that hung may still bring a frame.
             if self._closed:
                 return
             if seq in self._open:
@@ -65,6 +66,8 @@ class FrameLedger:
     def settle(self, seq: int, outcome: FrameOutcome) -> None:
         with self._changed:
             if not self._closed:
+                # Not `discard`: a second outcome of a frame would break the sum that `health`
+                # proves.
                 self._open.remove(seq)
                 self._count(outcome)
                 self._changed.notify_all()
@@ -104,6 +107,7 @@ class Timings:
     def percentiles(self) -> dict[str, dict[str, float]]:
         """``{name: {"p50": ms, "p99": ms}}`` by nearest rank over the latest frames."""
         with self._lock:
+            # Not by NumPy: its percentile imports numpy.ma, a megabyte in every process.
             ordered = {name: sorted(values) for name, values in self._ms.items()}
         return {
             name: {f"p{p}": round(values[-(-p * len(values) // 100) - 1], 3) for p in (50, 99)}

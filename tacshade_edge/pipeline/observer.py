@@ -14,8 +14,11 @@ from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 # Deadlines after the beginning of a stop, even if something hangs:
 # a part that ends early leaves its time to the next.
 SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S = 0.1, 0.9, 1.1
+# Recorder and sessions end after the threads that add to them; the link is last, because each
+# part publishes how it ended.
 RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
 
+# Longer than a camera's retries, so that a cable that is put back answers the command.
 FRAME_TIMEOUT_NS = 5_000_000_000
 WAITING_MAX = 16
 Reply = Callable[[Any], None]
@@ -112,6 +115,7 @@ class FrameWaiters:
             busy = len(self._waiting) >= WAITING_MAX
             if not busy:
                 self._waiting.append((since_ns, reply))
+        # Outside the lock: what replies may put another command.
         if busy:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} {self._what}"))
 
@@ -129,6 +133,8 @@ class FrameWaiters:
             reply(reason)
 
     def _remove(self, due: Callable[[int], bool]) -> list[Reply]:
+        # Without the lock, because every frame asks and mostly nothing waits. A command that
+        # comes at this moment waits for the next frame.
         if not self._waiting:
             return []
         with self._lock:

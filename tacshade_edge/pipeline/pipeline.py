@@ -75,6 +75,8 @@ class Pipeline:
         deadline = time.monotonic() + timeout_s
         grab, reconstruct = self._threads
         self.grab.stop()
+        # Half of the time at most: a driver may hang in a read, and the frame that is already in
+        # the mailbox should still be published.
         grab.join(timeout_s / 2)
         self._mailbox.close()
         reconstruct.join(max(0.0, deadline - time.monotonic()))
@@ -130,6 +132,8 @@ class Mailbox(Generic[T]):
             if self._closed:
                 return item
             replaced, self._item = self._item, item
+        # Only for the first item: while one lies there, the taker has not come yet, and the lock
+        # is free already.
         if replaced is None:
             self._ready.release()
         return replaced
@@ -139,6 +143,7 @@ class Mailbox(Generic[T]):
         self._ready.acquire()
         with self._lock:
             item, self._item = self._item, None
+            # Once closed, every further `take` must return as well, so the lock stays free.
             if self._closed:
                 self._ready.release()
         return item
@@ -212,7 +217,7 @@ class Grab:
             wanted = self._wants_next()
             try:
                 went_on = (
-                    self._read(wanted)
+                    self._read(wanted=wanted)
                     if wanted or any(each.tap for each in self._tapping)
                     else self._skip()
                 )
@@ -220,8 +225,7 @@ class Grab:
                 _log.debug("%s", error)
                 self.attempts += 1
                 self._ledger.passed("failed")
-                # Before any frame it is the source's state; in a stream it only
-                # counts.
+                # Before any frame it is the source's state; in a stream it only counts.
                 if self._reported is None:
                     self._change_state(SourceState("away", error.reason))
                 continue
@@ -229,20 +233,24 @@ class Grab:
                 return True
             self.last_frame_ns = time.monotonic_ns()
             if self._reported is None or self._reported.state != "streaming":
+                # Not where it is opened: a lost camera may open, and only a frame proves that it
+                # works.
                 self.retry_s = FIRST_RETRY_S
                 self._change_state(SourceState("streaming", None, self._source.describe()))
         return False
 
-    def _read(self, wanted: bool) -> bool:
+    def _read(self, *, wanted: bool) -> bool:
         """Read the next frame and pass it on; False at the end."""
         if (frame := self._source.read()) is None:
             return False
+        # Before the mailbox, where a newer frame may replace it: a recording gets every frame.
         for each in self._tapping:
             if tap := each.tap:
                 tap(frame)
         if wanted:
             self._ledger.captured(frame.seq)
             if (superseded := self._mailbox.put(frame)) is not None:
+                # Counted here, because nobody else will see it.
                 self._ledger.settle(superseded.seq, "superseded")
         else:
             self._ledger.passed("unasked")
@@ -309,6 +317,7 @@ class Reconstruct:
         return True
 
     def _process(self, frame: Frame, need: Need) -> None:
+        # Asked once a frame: the main thread may replace it at any time.
         timer, reconstructor = self._timer, self._running()
         timer.begin()
         began_ns = timer.last_ns
@@ -320,10 +329,12 @@ class Reconstruct:
             calibration = reconstructor.calibration
             made = step_and_track(reconstructor, self._tracker, frame, timer.mark, need)
         step_ms = (time.monotonic_ns() - began_ns) / 1e6
+        # After the reconstruction, because by then the pose that follows the frame may have come.
         seen = FrameResult(self._posed(frame) if self._posed else frame, calibration, made, step_ms)
         for see in self._sees:
             see(seen)
         usable = made is None or made.valid
+        # Read by `grab`, which may use the old value for a frame more.
         self._look_every = LOOK_EVERY if usable else 1
         timer.mark("deliver")
         timer.ms["latency"] = (timer.last_ns - frame.t_ns) / 1e6

@@ -45,7 +45,7 @@ def radius_average(
         If a point is farther from the base than a map allows.
     """
     fused = SurfaceMap(step_mm, bounded=False)
-    averaged = np.column_stack((points_mm[:, :2], _means(points_mm, radius_mm)))
+    averaged = np.column_stack((points_mm[:, :2], mean_heights(points_mm, radius_mm)))
     # The map accepts the extent of one press at a time, not a table's width.
     _, block = np.unique(np.floor(points_mm[:, :2] / _BLOCK_MM), axis=0, return_inverse=True)
     for k in range(block.max() + 1):
@@ -54,7 +54,7 @@ def radius_average(
     return fused.raster()
 
 
-def _means(points_mm: F64, radius_mm: float) -> F64:
+def mean_heights(points_mm: F64, radius_mm: float) -> F64:
     """The mean z (N,) of the points within the radius of each point, itself included."""
     from scipy.spatial import cKDTree  # a daemon does not need it
 

@@ -12,7 +12,7 @@ this tilt is only considered in the covariance (Schmidt, 1966).
 from __future__ import annotations
 
 import bisect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,7 @@ SEEN_MM, SEEN_DEG, SEEN_MS = (
 )
 
 # Size of the cells (0: one quadratic function for all), and the deviation of heights at one place.
+# From coarse to fine: at 10 mm and 10 degrees off, small cells would pair the wrong points.
 _COARSE_MM = ((0.0, 1.0), (6.0, 0.6), (3.0, 0.4), (1.5, 0.25))
 _FINE_MM = (1.0, 0.15)
 _ITERATIONS_MAX = 12
@@ -57,7 +58,9 @@ _QUADRATIC_MM = 10.0
 _FACING_MIN = 0.5
 # Relative to the weights: a few points in one place do not define a quadratic function.
 _RIDGE = 1e-9
-_DIFFERENCE = 1e-5  # of numeric derivatives, in mm, rad and ms
+# Of numeric derivatives, in mm, rad and ms: one function places the points, and no formula of its
+# derivatives can disagree with it.
+_DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +175,8 @@ class _Problem:
         differences in mm, for heights of deviation `sigma_mm` at one place; `joint` gives presses
         and frames their own errors.
         """
-        from scipy import sparse  # a daemon does not need it
+        # Here, as a daemon imports this module through `map_files`: SciPy would cost it 23 MiB.
+        from scipy import sparse
         from scipy.sparse.linalg import splu
 
         poses = self._poses(x[6])
@@ -190,13 +194,7 @@ class _Problem:
             return np.asarray((by[:, 2] - np.sum(slope * by[:, :2], axis=1)) / _DIFFERENCE)
 
         free = len(x) - len(_CONSIDERED) if joint else _COMMON
-        parts = [-basis, np.column_stack([change(k) for k in range(_COMMON)])]
-        if joint:
-            count, end = self._presses, _COMMON + 6 * self._presses
-            moves = np.column_stack([change(slice(_COMMON + k, end, 6)) for k in range(6)])
-            parts += [_blocks(moves, self._press_of_frame[self._frame_of], count)]
-            parts += [_blocks(self._bulge, self._frame_of, len(self._frames))]
-        columns = sparse.csr_array(sparse.hstack(parts))
+        columns = sparse.csr_array(sparse.hstack([-basis, *self._columns(change, joint=joint)]))
         weighted = columns.T @ sparse.diags_array(weight)
         surface = basis.shape[1]
         prior = np.concatenate(
@@ -209,13 +207,28 @@ class _Problem:
         )
         step = np.zeros(len(x))
         step[:free] = solved[surface:, 0]
+        # Limited: far from the solution the surfaces of two presses may not overlap at all.
         step /= max(1.0, float(np.max(np.abs(step[:_SENSOR]) / _STEP_MAX)))
         considered = np.column_stack(
             [change(len(x) - k) * _CONSIDERED[-k] for k in range(len(_CONSIDERED), 0, -1)]
         )
+        # Schmidt: what is considered is not solved for, but widens the covariance by what it would
+        # have been taken for.
         looks_like = solved[:, 1:].T @ (weighted @ considered)
         covariance = solved[surface : surface + _SENSOR, 1:] + looks_like @ looks_like.T
         return step, covariance, float(np.sqrt(np.average(left_mm**2, weights=weight)))
+
+    def _columns(self, change: Callable[[int | slice], F64], *, joint: bool) -> list[Any]:
+        """Derivatives of the heights by all that is solved for, in the order of x."""
+        parts: list[Any] = [np.column_stack([change(k) for k in range(_COMMON)])]
+        if joint:
+            # A point depends on its own press and frame alone, so six derivatives serve all
+            # presses.
+            end = _COMMON + 6 * self._presses
+            moves = np.column_stack([change(slice(_COMMON + k, end, 6)) for k in range(6)])
+            parts.append(_blocks(moves, self._press_of_frame[self._frame_of], self._presses))
+            parts.append(_blocks(self._bulge, self._frame_of, len(self._frames)))
+        return parts
 
     def _poses(self, delay_ms: float) -> tuple[F64, F64]:
         """``base_T_flange`` of each frame in the upright axes:

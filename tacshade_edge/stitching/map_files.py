@@ -61,7 +61,8 @@ def write_map(
         **details,
     }
     png = cv2.imencode(".png", levels)[1].tobytes()
-    del levels  # 30 MB for a large map
+    # 30 MB of a large map, while the next file is compressed.
+    del levels
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer, z_mm=raster.z_mm, x0_mm=raster.x0_mm, y0_mm=raster.y0_mm, step_mm=raster.step_mm
@@ -75,6 +76,7 @@ def write_map(
     }
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
+        # map.json last: where it is, the files beside it are whole and of the same map.
         write_set(folder, files, "map.json", (json.dumps(about, indent=2) + "\n").encode())
 
 

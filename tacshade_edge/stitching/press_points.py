@@ -16,7 +16,8 @@ from tacshade_edge.types import F32, F64, Geometry, HeightMap, frozen
 
 REST_NS = 300_000_000
 STEADY_MM = 0.06
-_STEADY_FRACTION = 0.03  # of the depth, because a deep contact trembles more
+# Of the depth, because a deep contact trembles more.
+_STEADY_FRACTION = 0.03
 # Confidence grows to 1 over this distance into the contact:
 # skin beyond it is skirt, off the object.
 OUTLINE_MM = 0.8
@@ -90,7 +91,8 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
         h = cv2.resize(h, None, fx=divisor, fy=divisor, interpolation=cv2.INTER_LINEAR)
     cells = height.contact[box][::stride, ::stride]
     contact = np.ascontiguousarray(cells.repeat(divisor, axis=0).repeat(divisor, axis=1))
-    if min(h.shape) < 2:
+    # A single row of cells has no gradient across it, and so no normals.
+    if min(h.shape) <= 1:
         return NO_POINTS
     # The first part of a divided cell lies before the cell's middle.
     row0, col0 = (
@@ -105,6 +107,8 @@ def press_points(height: HeightMap, geometry: Geometry) -> PressPoints:
         step_px * geometry.mm_per_px
     )
     to_rim = (1 - np.sqrt(radius_squared(grid, geometry.disc))) / RIM_FRACTION
+    # Two reasons for doubt, of which the greater counts: near the outline the skin lifts off the
+    # object, near the rim the camera looks along it.
     confidence = np.clip(np.minimum(inside_mm / OUTLINE_MM, to_rim), MIN_CONFIDENCE, 1)
     # Drops points with a neighbour outside the disc.
     contact = contact & np.isfinite(normals).all(axis=2)

@@ -23,13 +23,14 @@ from tacshade_edge.types import F64, I64
 
 _SLOPE_MAX = 2.0  # mm per mm; a steeper slope between two cells is a step
 CELL_MM = 0.7
-POINTS_MAX = 150  # per press, which has six unknowns
+# Of each press, which has six unknowns.
+POINTS_MAX = 150
 ITERATIONS_MAX = 8
 SURFACE_SIGMA_MM = 0.1  # standard deviation of a place's heights between presses with exact poses
 _CAUCHY_MM = 0.15  # a difference of this size counts half
 _CONVERGED_MM = 0.005  # ends when no press moves farther in an iteration
-_CG_ITERATIONS_MAX = 60
-_CG_TOLERANCE = 0.01  # of one Gauss-Newton step; the next one continues
+# Of one Gauss-Newton step: what is left over, the next step continues.
+_CG_ITERATIONS_MAX, _CG_TOLERANCE = 60, 0.01
 LATERAL_RATIO = 5.0  # lateral over height error of a point
 # Ratio of the moves in height from the reconstruction's errors alone to the differences that they
 # leave: typical and greatest. With exact poses it is 1.1 to 2.5.
@@ -98,6 +99,7 @@ def thin_points(press: PressPoints) -> F64:
     """
     points = press.points_mm.astype(np.float64)
     cell = np.floor(points[:, :2] / CELL_MM).astype(np.int64)
+    # One number for each cell: more columns than a press can have.
     _, index = np.unique(cell[:, 0] * 100_003 + cell[:, 1], return_inverse=True)
     weight = np.bincount(index, press.confidence)
     means = [np.bincount(index, press.confidence * points[:, k]) / weight for k in range(3)]
@@ -113,7 +115,7 @@ def refine_poses(
     """Find ``base_T_sensor`` at which the presses (`thin_points`) agree best; a press that overlaps
     no other keeps the reported one. Rotation errors turn about `centre_mm`, the undeformed apex.
     """
-    if len(presses) < 2:
+    if len(presses) <= 1:
         return list(reported)
     press_of, points = _joined(presses)
     prior: F64 = np.asarray(
@@ -204,6 +206,7 @@ def _step(
         """Subtract each cell's mean, which eliminates the surface."""
         return np.asarray(values - (np.bincount(cell, weight * values) / total)[cell])
 
+    # Points stand in the order of their presses, so that sums over a press are sums over a slice.
     starts = np.searchsorted(press_of, np.arange(len(poses)))
 
     def to_presses(values: F64) -> F64:
@@ -216,6 +219,7 @@ def _step(
             to_presses(eliminated(np.einsum("nk,nk->n", jacobian, step[press_of]))) + prior * step
         )
 
+    # The preconditioner: each press alone, as if the surface were known.
     blocks = np.empty((len(poses), 6, 6))
     for k in range(6):
         blocks[:, :, k] = to_presses(jacobian[:, k])
@@ -242,6 +246,8 @@ def _conjugate_gradients(matrix: Callable[[F64], F64], right: F64, inverse: F64)
     """Solve by conjugate gradients (Hestenes and Stiefel 1952),
     with the blocks' `inverse` as preconditioner.
     """
+    # Not SciPy's `cg`: its import takes 1.2 s of a stop's 1.4 s and 23 MiB of the service's 150,
+    # for poses that agree within 0.07 mm and 0.2 degrees and are found no sooner.
     x = np.zeros_like(right)
     residual = right.copy()
     z = np.einsum("pij,pj->pi", inverse, residual)

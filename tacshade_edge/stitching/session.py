@@ -43,6 +43,7 @@ class MapRevision:
     raster: Callable[[], Raster]
 
 
+# A raster's cost grows with the map, and a robot may press several times a second.
 PERIOD_S = 1.0
 POINTS_MAX = 20_000
 """Most points of a ``map/cloud``, 280 kB; a larger map is thinned."""
@@ -185,6 +186,7 @@ class StitchSession:
         return PressAdded(self.presses, frame_seq, len(points.points_mm))
 
     def map_revision(self) -> MapRevision:
+        # The function, not its raster: most revisions are never published.
         crc32, raster = self.file.info.calibration_crc32, self._stitcher.map.raster
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
@@ -210,6 +212,8 @@ class StitchSession:
                 for k, press in enumerate(final.presses, start=1)
             ],
         }
+        # The map first: after a crash between the two, the session is still open, and END makes the
+        # same map again.
         write_map(self.folder, raster, details)
         self.file.end()
         area_mm2 = float(np.count_nonzero(np.isfinite(raster.z_mm))) * raster.step_mm**2

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+# How soon a map is published that came within a second of the one before.
 DEFERRED_S = 0.25
 _NO_IMAGE = np.zeros((0, 0), np.uint8)
 
@@ -171,6 +172,8 @@ class Sessions(FrameObserver):
         if action == "ADD":
             reply = partial(self._count_refusal, reply)
         if action == "ADD" and self._state.name:
+            # The press is the first frame taken after the command: the robot stands still by
+            # then.
             self._adds.put(time.monotonic_ns(), reply)
         elif self._jobs.qsize() >= WAITING_MAX:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
@@ -179,10 +182,14 @@ class Sessions(FrameObserver):
 
     def _observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
         """Add the frame if an ``ADD`` waits for it, or if its contact has come to rest."""
+        # First of all that sees the frame: whoever hears of the first contact may begin a session
+        # at once, which needs a calibration.
         self._calibration = calibration
         if not self._state.name:
             return
         # A frame of unknown depth is no press, and ends none.
+        # In the reconstruct thread: the detector is only used here, and replaced when a session
+        # begins.
         at_rest = not result.touched and self._rest.update(
             result.t_ns, result.valid and result.contact, result.depth_max_mm
         )
@@ -202,6 +209,7 @@ class Sessions(FrameObserver):
         elif self._jobs.qsize() >= WAITING_MAX:
             refusal = Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting")
         else:
+            # What an ADD took must not be added again when it comes to rest.
             self._rest.suppress()
             points = press_points(result.height, calibration.geometry)
             flange_T_sensor = from_seven(calibration.flange_T_sensor)
@@ -247,10 +255,13 @@ class Sessions(FrameObserver):
                 outcome = run()
             except TacshadeError as error:
                 outcome = error.reason
+            # In this order: whoever gets the reply may act on the state at once.
             self._show_state()
             reply(outcome)
             if isinstance(outcome, SessionEnded | SessionAborted):
-                return_free_memory()  # a full map took 300 MB
+                # glibc keeps what lies below its newest block: of the 287 MB of a full map 200
+                # stayed, which looked like a leak over sessions.
+                return_free_memory()
         if self._session is not None:
             self._session.file.close()
         if self._folder_lock is not None:
@@ -297,9 +308,13 @@ class Sessions(FrameObserver):
         )
 
     def _begin(self, name: str) -> SessionBegun:
+        # Another daemon had the folder when this one started; it may have ended since, and have
+        # left a session.
         if self._folder_lock is None:
             self._own_folder()
             self._resume()
+        # Somebody deleted its folder: it cannot be ended, and must not stand in the way of the
+        # next.
         if self._session is not None and self._session.file.gone:
             _log.warning(
                 "deleted session %s with %d presses", self._session.name, self._session.presses
@@ -325,6 +340,7 @@ class Sessions(FrameObserver):
         if len(points.points_mm) == 0:
             reason = _no_contact(seq)
             raise DeviceError(reason.text, code=reason.code)
+        # This waits for the pose after the frame, which the reconstruct thread must not do.
         posed = self._robot.with_interpolated_pose(frame) if self._robot else frame
         if posed.pose is None:
             raise DeviceError(
@@ -342,6 +358,7 @@ class Sessions(FrameObserver):
             raise DeviceError(
                 "the session has no presses; use ABORT to end it", code=ReasonCode.NO_PRESS
             )
+        # `status/stitching` shows it: the map takes seconds, in which nothing else is answered.
         self._ending = True
         try:
             ended, final_map = session.finish(self._missed)

@@ -37,10 +37,12 @@ _log = logging.getLogger(__name__)
 SESSION, PRESSES = "session.json", "presses.bin"
 VERSION = 2
 """Version 1, without `sensor_id` and `crc32`, is still readable."""
+_CHECKED_SINCE = 2
 _HEAD = struct.Struct("<4sII")  # magic, bytes and CRC-32 of what follows
 _MAGIC = b"TCSP"
 _POSE_VALUES, _POINT_VALUES = 12, 7
 _PRESS_POINTS_MAX = 1_000_000
+# The daemon reads whatever lies in the folder, and must not run out of memory by it.
 _INFO_BYTES_MAX, _PRESSES_BYTES_MAX = 64 * 2**10, 2**30
 _MOST_MM = 1e6
 
@@ -82,6 +84,7 @@ class StitchFile:
             try:
                 (folder / PRESSES).touch(exist_ok=False)
                 write_whole(folder / SESSION, _json(info))
+                # Files survive a power cut by their folder's sync, the folder by its parent's.
                 sync(folder)
                 sync(folder.parent)
             except OSError:
@@ -106,6 +109,7 @@ class StitchFile:
             file._end = sum(end - start for _, _, start, end in found)
             if lost := len(data) - file._end:
                 names = (path.with_name(f"{path.name}.damaged-{k}") for k in itertools.count(1))
+                # A copy stays, since the damage may hold more presses than this program finds.
                 beside = next(name for name in names if not name.exists())
                 shutil.copyfile(path, beside)
                 sync(beside)
@@ -132,7 +136,9 @@ class StitchFile:
         body = pose.astype("<f8").tobytes() + columns.tobytes()
         record = _HEAD.pack(_MAGIC, len(body), zlib.crc32(body)) + body
         with disk_errors(self.folder):
-            if self.gone:  # the stream may still be open on an unlinked file
+            # The stream may still be open on an unlinked file, and would take presses that nobody
+            # finds again.
+            if self.gone:
                 raise DeviceError(
                     f"{self.folder}: the session's files are gone", code=ReasonCode.DISK
                 )
@@ -143,7 +149,9 @@ class StitchFile:
             self._stream.seek(self._end)
             self._stream.truncate()
             written = self._stream.write(record)
-            if written < len(record):  # a partial write; the next one would report a full disk
+            # Unbuffered, so that no part of a press waits in this process: a full disk shows as a
+            # write of a part, and only the next one would report it.
+            if written < len(record):
                 raise DeviceError(
                     f"{self.folder}: cannot write it: the disk is full", code=ReasonCode.DISK_FULL
                 )
@@ -198,6 +206,7 @@ def open_session(folder: Path, sensor_id: str) -> Path | None:
         except DecodeError as error:
             _log.warning("skipping a session: %s", error)
             continue
+        # Version 1 named no sensor; its sessions belong to the one whose folder it is.
         if info.state == "open" and info.sensor_id in ("", sensor_id):
             found.append((info.begun_wall_ns, path.parent))
     return max(found)[1] if found else None
@@ -219,7 +228,7 @@ def read_info(folder: Path) -> SessionInfo:
         raise DecodeError(f"{path}: {shown(str(error))}, expected a stitching session") from None
     if not 1 <= info.version <= VERSION:
         raise DecodeError(f"{path}: found version {info.version}, expected {VERSION}")
-    if info.version >= 2 and info.crc32 != _crc32(info):
+    if info.version >= _CHECKED_SINCE and info.crc32 != _crc32(info):
         raise DecodeError(
             f"{path}: the file is damaged: found checksum {_crc32(info)}, "
             f"expected the stored {info.crc32}"

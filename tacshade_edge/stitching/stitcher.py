@@ -30,12 +30,15 @@ from tacshade_edge.types import F32, F64, I64, frozen
 STEP_MM = 0.25
 TILE = 64
 PRESS_WIDTH_MAX_MM = 200.0  # greatest width of a press of any sensor
-TILES_MAX = 1024  # greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB
+# Greatest number of tiles of 64 KiB, 16 mm wide: half a metre square, 64 MiB. A pose that is wrong,
+# or a robot that presses all day, must not take the memory of the service.
+TILES_MAX = 1024
 _POSITION_MAX_MM = 1e6
 # Greatest number of tiles in the map's bounding box, a square metre: its raster takes 64 MiB.
 EXTENT_MAX_TILES = 4096
 BAND_ROWS = 256
-MIN_WEIGHT = 0.07  # A cell of less weight lies outside the contact
+# A cell of less weight lies outside the contact.
+MIN_WEIGHT = 0.07
 _Tile = tuple[int, int]  # row and column
 _Box = tuple[slice, slice]
 
@@ -129,6 +132,7 @@ class SurfaceMap:
             sums[1] += np.bincount(cell + offset, w * points_mm[:, 2], len(sums[0]))
         sums = sums.reshape(shape)
         overlaps = [each for each in window.overlaps() if sums[0][each[2]].any()]
+        # Before anything is added: a press that is refused leaves the map as it was.
         if self._bounded and overlaps:
             self._require_bounds({tile for tile, _, _ in overlaps} | self._tiles.keys())
         for tile, in_tile, in_window in overlaps:
@@ -192,10 +196,12 @@ def _window(i: I64, j: I64, step_mm: float) -> _Window:
     return _Window(top, left, bottom - top + 2, right - left + 2)
 
 
-POINTS_MAX = 4_000_000  # limit for all presses together: 16 bytes each, 64 MB
+# Of all presses together, 16 bytes each: 64 MB. They are kept, since the end places them anew.
+POINTS_MAX = 4_000_000
 # If poses are not exact, some press makes the outline wrong, so a cell needs more weight.
 _MIN_WEIGHT_REFINED = 0.15
-_CAUCHY_MM = 0.2  # a point at this distance from its cell's mean counts half
+# A point at this distance from its cell's mean counts half.
+_CAUCHY_MM = 0.2
 # Reject a press that is this far off its neighbours after refinement,
 # or moved by this many standard deviations.
 DEVIATION_MAX_MM = 0.6
@@ -288,12 +294,16 @@ class Stitcher:
                 change(old, new, self._apex)[2] for old, new in zip(poses, refined, strict=True)
             ]
             disagreement_mm = float(np.sqrt(np.mean(np.square(dz_mm))))
+            # The part instead of a threshold in mm: that took exact poses for noisy ones on sensors
+            # with larger errors, and refinement then made the map worse.
             part = robots_part(thinned, poses, refined, self._apex)
             if part:
                 poses = [
                     moved_by_part(old, new, part, self._apex)
                     for old, new in zip(poses, refined, strict=True)
                 ]
+        # Three times: to judge each press by the others, without those that do not fit, and with
+        # the weight of each point by its distance to the map so far.
         fused = self._fused(poses, [None] * len(poses), None)
         placed = [
             self._placed(press, pose, fused, error if part else None)
@@ -331,7 +341,9 @@ class Stitcher:
         """Fuse the presses into a new map, with Cauchy's weight of each point's distance
         to the map `before`.
         """
-        fused = SurfaceMap(STEP_MM, bounded=False)  # refined presses lie slightly elsewhere
+        # Each press was within bounds when it came; refined, it lies slightly elsewhere, and a map
+        # must not fail at its end.
+        fused = SurfaceMap(STEP_MM, bounded=False)
         for press, pose, reason in zip(self._presses, poses, rejected, strict=True):
             if reason is not None:
                 continue

@@ -63,7 +63,7 @@ def test_bytes_that_are_no_finger_are_refused(lines: Lines) -> None:
 class Rig:
     def __init__(self, lines: Lines) -> None:
         self.lines = lines
-        self.lines.want(True)
+        self.lines.want(wanted=True)
         self.finger = FingerReporter(self.lines.fingers["thumb"], shift(1, 2, 3))
 
     def see(self, result: Reconstruction | None) -> None:
@@ -95,7 +95,7 @@ def result(
 
 def test_depth_is_asked_for_while_somebody_listens(rig: Rig) -> None:
     assert rig.finger.need() == Need.DEPTH
-    rig.lines.want(False)
+    rig.lines.want(wanted=False)
     assert rig.finger.need() == Need.CONTACT
 
 
@@ -140,17 +140,17 @@ def test_nothing_is_reported_while_nobody_listens_and_all_of_it_when_somebody_do
     rig: Rig,
 ) -> None:
     rig.see(result(0))
-    rig.lines.want(False)
+    rig.lines.want(wanted=False)
     rig.see(result(1))
     rig.see(None)
-    rig.lines.want(True)
+    rig.lines.want(wanted=True)
     rig.see(None)  # asked for before
     rig.see(result(2))
     assert [f.t_ns for f in rig.reported()] == [0, 2]
 
 
 def test_a_camera_that_is_gone_is_reported_whoever_listens(rig: Rig) -> None:
-    rig.lines.want(False)
+    rig.lines.want(wanted=False)
     rig.finger.source_changed(SourceState("away", Reason(ReasonCode.LOST, "gone")))
     assert rig.reported() == [Finger(state="away", reason_code="lost")]
 

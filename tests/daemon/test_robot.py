@@ -103,7 +103,7 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_repor
         # The same number and text: not done again,
         # the reply is the one from before the cable was pulled.
         robot.replies.clear()
-        robot._seq = number - 1
+        robot.number_from(number)
         robot.ask("STATUS")
         wait_until(lambda: number in robot.replies, 10, "the reply again")
         assert robot.replies[number] == before
@@ -252,8 +252,7 @@ def test_a_chip_that_holds_bytes_back_is_reported(
 def test_a_robot_that_reads_nothing_costs_no_poses(link: Path) -> None:
     robot = PtyRobot(link, rate_hz=0)
     robot.plug()
-    assert robot._fds is not None
-    master = robot._fds[0]
+    master = robot.master
     with Side(link) as side:
         for number in range(3000):  # 120 kB of answers; a pty holds some 20
             os.set_blocking(master, True)

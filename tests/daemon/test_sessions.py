@@ -77,7 +77,9 @@ class Robot:
         self.published: dict[str, bytes] = {}
         self.sessions = Sessions(folder, "left", self.published.__setitem__, poses)
         self.sessions.publish_map = lambda revision: bool(self.maps.append(revision))
+        before = set(threading.enumerate())
         self.sessions.start()
+        (self._thread,) = set(threading.enumerate()) - before
         self.seq = 0
 
     def ask(self, action: str, name: str = "") -> Outcome:
@@ -116,7 +118,7 @@ class Robot:
 
     def end(self) -> None:
         self.sessions.stop(patience(DEADLINE_S))
-        assert not self.sessions._thread.is_alive()
+        assert not self._thread.is_alive()
 
 
 def code(outcome: Outcome) -> ReasonCode | None:

@@ -36,7 +36,7 @@ TOUCHED = Finger(state="contact", t_ns=NOW_NS - 5_500_000, seq=2)
 def two() -> HandAggregator:
     """Listened to, and both have reported."""
     together = HandAggregator(["thumb", "index"])
-    together.listen(True, NOW_NS)
+    together.listen(NOW_NS, listened=True)
     for name in ("thumb", "index"):
         together.hear(name, FREE, NOW_NS)
     return together
@@ -50,7 +50,7 @@ def test_nothing_is_due_while_nobody_listens() -> None:
 
 def test_the_first_message_waits_for_every_finger_and_not_for_ever() -> None:
     together = HandAggregator(["thumb", "index"])
-    together.listen(True, NOW_NS)
+    together.listen(NOW_NS, listened=True)
     together.hear("thumb", FREE, NOW_NS + 5)
     assert together.due_ns() == NOW_NS + FIRST_NS
     message = together.message(NOW_NS + FIRST_NS, 7)

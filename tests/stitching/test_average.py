@@ -33,4 +33,6 @@ def test_parts_of_the_points_give_the_means_of_all(monkeypatch: pytest.MonkeyPat
     points = np.random.default_rng(3).uniform(0, 8, (101, 3))
     points[7] = points[8]  # two presses may find the same point
     monkeypatch.setattr(average, "_CHUNK", 10)
-    np.testing.assert_allclose(average._means(points, 1.0), brute_means(points, 1.0), atol=1e-12)
+    np.testing.assert_allclose(
+        average.mean_heights(points, 1.0), brute_means(points, 1.0), atol=1e-12
+    )

@@ -202,6 +202,16 @@ class PtyRobot:
         with self._lock:
             self._fds = master, slave
 
+    @property
+    def master(self) -> int:
+        """The robot's end of the pty, while it is plugged in."""
+        assert self._fds is not None
+        return self._fds[0]
+
+    def number_from(self, number: int) -> None:
+        """Give the next command this number, whatever came before."""
+        self._seq = number - 1
+
     def unplug(self) -> None:
         """Remove the pty, like a pulled cable; bytes in transit are lost."""
         with self._lock:
