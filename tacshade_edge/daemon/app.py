@@ -59,6 +59,8 @@ _log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 1.0
 PREVIEW_PERIOD_S = 0.25
+CONNECT_S = 1.0
+"""The first frame waits so long for the broker at most: three times what an unknown name takes."""
 
 
 class App:
@@ -201,6 +203,8 @@ class App:
             self.link.start()
             for observer in self._observers:
                 observer.start()
+            # Maps of frames that came before the first connection would only replace each other.
+            self.link.wait_until_settled(CONNECT_S)
             # Last: what consumes frames is there before what makes them.
             self._pipeline.start()
             notify("READY=1")

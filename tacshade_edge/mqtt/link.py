@@ -125,6 +125,7 @@ class MqttLink:
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._watched: dict[str, Callable[[bytes], None]] = {}
         self._thread: threading.Thread | None = None
+        self._settled = threading.Event()
         instance = new_instance()
         # A session of its own, since the link's would take the name by connecting.
         self._guard = ClientIdGuard(broker, base_topic, instance)
@@ -165,6 +166,10 @@ class MqttLink:
             topics[f"{self._base}/{topic}"] = SubscribeOptions(1, noLocal=True)
         self._session.follow(topics)
         self._session.start()
+
+    def wait_until_settled(self, timeout_s: float) -> None:
+        """Wait until the broker has accepted us, or it is known why it has not."""
+        self._settled.wait(timeout_s)
 
     def stop(self, timeout_s: float) -> None:
         """Publish what waits and ``state`` = ``stopped``, and disconnect;
@@ -270,6 +275,8 @@ class MqttLink:
         if reason == self._reason:
             return
         self._reason = reason
+        if reason is None or reason.code is not ReasonCode.STARTING:
+            self._settled.set()
         if reason and fix:
             _log.warning("%s", with_fix(reason, fix))
         else:

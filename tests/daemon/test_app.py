@@ -235,6 +235,20 @@ def test_a_stop_is_quick_without_a_broker_and_while_it_hangs(
     assert_accounted(stalled.counts().as_dict())
 
 
+def test_no_frame_comes_before_the_first_connection(
+    live: Live, pictures: Any, scripted: Any
+) -> None:
+    """To ask for a name that the broker does not know takes a third of a second."""
+    reasons: list[object] = []
+    source = scripted(
+        [lambda: reasons.append(app.app.link.reason), *paced(pictures.touched, 5), None]
+    )
+    app = live.run(source)
+    app.join()
+    assert reasons == [None]
+    assert app.counts().superseded == 0
+
+
 def test_a_broker_that_comes_late_and_restarts_gets_the_stream_without_help(
     tmp_path: Path, broker: Broker, calibration: Calibration, pictures: Any, scripted: Any
 ) -> None:
