@@ -107,6 +107,8 @@ class ReasonCode(StrEnum):
     CLOCK_WENT_BACK = "clock_went_back"
     CLOCK_LATE = "clock_late"
     CLOCK_DRIFT = "clock_drift"
+    CLOCK_UNIT = "clock_unit"
+    CLOCK_STANDS = "clock_stands"
 
 
 @dataclass(frozen=True, slots=True)

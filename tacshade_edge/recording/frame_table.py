@@ -7,12 +7,15 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import part
 from tacshade_edge.files.tables import BYTES_A_ROW_MAX, number, read_columns
+from tacshade_edge.plausibility.frame_times import STEPS_JUDGED, judge_steps, judge_time_cell
+from tacshade_edge.plausibility.suspicions import SuspicionCode, suspicion
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import named_file, open_regular
 from tacshade_edge.rigid import Rigid, from_seven
@@ -55,20 +58,33 @@ class FrameTable(Sequence[TableRow]):
     def __init__(self) -> None:
         self.damaged = 0
         self.first_damaged = ""
+        self.damaged_by = ""
+        self.suspected = ""
         self._lines: list[bytes] = []
 
     def append(self, line: bytes) -> None:
         """Append a line that `read_table` has checked."""
         self._lines.append(line)
 
+    def leave_out(self, where: str, line: bytes) -> None:
+        """Count a line whose checksum is wrong."""
+        self.damaged += 1
+        if not self.first_damaged:
+            self.first_damaged, self.damaged_by = where, _rounded(line)
+
     @property
     def damage(self) -> str:
-        """A line for a person about the lines left out; empty if there are none."""
-        found = (
-            f"left out {self.damaged} damaged lines and their frames, "
-            "because the checksums do not match"
-        )
-        return f"{self.first_damaged}: {found}" if self.damaged else ""
+        """A line for a person about the lines left out, and about times that no camera has; empty
+        if all is well.
+        """
+        found = [self.suspected] if self.suspected else []
+        if self.damaged:
+            text = (
+                f"{self.first_damaged}: left out {self.damaged} damaged lines and their frames, "
+                "because the checksums do not match"
+            )
+            found.insert(0, f"{text}; {self.damaged_by}" if self.damaged_by else text)
+        return "; ".join(found)
 
     def __len__(self) -> int:
         """The number of rows."""
@@ -117,8 +133,7 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                 # Before the cells are parsed: a damaged number may look like another one.
                 columns, _, crc32 = line.rstrip(b"\r\n").rpartition(b",")
                 if header and header[-1] == CRC_COLUMN and crc32 != b"%08x" % zlib.crc32(columns):
-                    rows.damaged += 1
-                    rows.first_damaged = rows.first_damaged or where
+                    rows.leave_out(where, line)
                     continue
                 if not (cells := _cells(where, line)):
                     continue
@@ -144,10 +159,29 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
         raise ConfigError(
             f"{shown(path)}: {error.strerror or error}, expected a CSV file of frames"
         ) from None
+    _judge(path, rows)
+    return rows
+
+
+def _judge(path: Path, rows: FrameTable) -> None:
+    """Note times that no camera has. Raises ConfigError without a row."""
     if not rows:
+        if rows.damaged and not rows.damaged_by:
+            rows.damaged_by = str(suspicion(SuspicionCode.TABLE_EDITED))
         damage = f" ({rows.damage})" if rows.damage else ""
         raise ConfigError(f"{path}: found no rows, expected one per frame{damage}")
-    return rows
+    first = rows[: STEPS_JUDGED + 1]
+    if found := judge_steps([after.t_ns - before.t_ns for before, after in pairwise(first)]):
+        # The frames are as good as ever: only what needs their times is wrong.
+        rows.suspected = f"{path}: {found}"
+
+
+def _rounded(line: bytes) -> str:
+    """What a damaged line's time seems to be; empty if it is a whole number, or no number."""
+    name_and_time = line.split(b",", 2)[:2]
+    cell = name_and_time[-1].decode(errors="replace").strip(' "\r\n')
+    found = judge_time_cell(cell) if len(name_and_time) > 1 else None
+    return "" if found is None else str(found)
 
 
 def _known_header(where: str, cells: list[str]) -> list[str]:
@@ -174,6 +208,8 @@ def _row(where: str, cells: list[str]) -> TableRow:
             f"{where}: image: found nothing, expected a file name or the number of a video frame"
         )
     if not _whole(time, T_NS_MAX):
+        if found := judge_time_cell(time):
+            raise ConfigError(f"{where}: {found}")
         raise ConfigError(
             f"{where}: t_ns: found {quoted(time)}, expected a whole number from 0 to 2^62"
         )

@@ -24,6 +24,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from tacshade_edge.plausibility.stream_clock import StreamClock
+from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.reasons import Reason, ReasonCode
 
 SyncMode = Literal["none", "oneway", "two-way"]
@@ -64,6 +66,7 @@ class SyncState:
     offset_ns: int  # daemon minus robot now; 0 with ``none``
     drift_ppm: float  # how slow the robot's clock is
     error_us: int  # bound
+    suspected: Suspicion | None = None  # of the robot's times, which are then of no use
 
 
 @dataclass(slots=True)
@@ -117,6 +120,7 @@ class ClockSync:
 
     def __init__(self) -> None:
         self.counts = SyncCounts()
+        self._stamps = StreamClock()
         self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
         # The times t1, t2, t3 of the latest SYNC; t4 comes with the next.
         self._open: tuple[int, int, int] | None = None
@@ -129,8 +133,12 @@ class ClockSync:
         self._one_way: _Line | None = None
         self._newest_ns: int | None = None
 
-    def restart(self, reason: Reason) -> None:
-        """Forget the clock, for the given reason."""
+    def robot_restarted(self) -> None:
+        """Forget the clock, because the robot has another one."""
+        self._stamps = StreamClock()
+        self._restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
+
+    def _restart(self, reason: Reason) -> None:
         self._forget()
         self._reason_none = reason
         self.counts.restarts += 1
@@ -140,6 +148,8 @@ class ClockSync:
 
         Then `sync_answered`.
         """
+        if self._is_off(t1_ns, t2_ns):
+            return
         # Until `sync_answered`, the reply counts as sent when the request arrived, which can only
         # make the round trip look longer.
         before, self._open = self._open, (t1_ns, t2_ns, t2_ns)
@@ -162,10 +172,12 @@ class ClockSync:
         """Take the arrival of a message stamped `robot_ns`:
         one more delay, which may show that the clock jumped.
         """
+        if self._is_off(robot_ns, arrived_ns):
+            return
         if (line := self._two_way) is not None:
             local = line.local(robot_ns)
             if local.t_ns - local.error_ns - TOLERANCE_NS > arrived_ns:
-                self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
+                self._restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
         self._advance(robot_ns)
         delay_ns = arrived_ns - robot_ns
         bucket = self._bucket
@@ -181,7 +193,7 @@ class ClockSync:
         else:
             below_ns = line.local(robot_ns).t_ns - arrived_ns
             if below_ns > LATE_NS:
-                self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
+                self._restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped forward"))
                 self._newest_ns, self._one_way = robot_ns, _lower_line([(robot_ns, delay_ns)])
             elif below_ns > 0:
                 self._one_way = _lower_line([*self._buckets, (robot_ns, delay_ns)])
@@ -196,6 +208,8 @@ class ClockSync:
     def state(self) -> SyncState:
         """The state at the robot's newest time."""
         line, newest_ns = self._line(), self._newest_ns
+        if (off := self._stamps.found) is not None:
+            return SyncState("none", Reason(ReasonCode.CLOCK_UNIT, str(off)), 0, 0.0, 0, off)
         if line is None or newest_ns is None:
             return SyncState("none", self._reason_none, 0, 0.0, 0)
         local = line.local(newest_ns)
@@ -206,6 +220,8 @@ class ClockSync:
             reason = Reason(
                 ReasonCode.CLOCK_DRIFT, f"the robot's clock is about {size:.0f} ppm {sign}"
             )
+        if (stands := self._stamps.stands) is not None:
+            reason = Reason(ReasonCode.CLOCK_STANDS, str(stands))
         mode: SyncMode = "two-way" if line is self._two_way else "oneway"
         return SyncState(
             mode, reason, local.t_ns - newest_ns, round(drift_ppm, 2), round(local.error_ns / 1000)
@@ -219,6 +235,15 @@ class ClockSync:
             return two_way
         return self._one_way or two_way
 
+    def _is_off(self, robot_ns: int, arrived_ns: int) -> bool:
+        """Take a stamp; whether the robot's times pass at a rate that no clock has."""
+        was_off = self._stamps.found is not None
+        self._stamps.take(robot_ns, arrived_ns)
+        is_off = self._stamps.found is not None
+        if is_off and not was_off:
+            self._restart(Reason(ReasonCode.CLOCK_UNIT, str(self._stamps.found)))
+        return is_off
+
     def _forget(self) -> None:
         self._open = self._suspect = self._two_way = self._bucket = self._one_way = (
             self._newest_ns
@@ -231,7 +256,7 @@ class ClockSync:
         newest_ns = self._newest_ns
         if newest_ns is not None and newest_ns - robot_ns > BACKWARDS_NS:
             exchange = self._open
-            self.restart(Reason(ReasonCode.CLOCK_WENT_BACK, "the robot's clock went backwards"))
+            self._restart(Reason(ReasonCode.CLOCK_WENT_BACK, "the robot's clock went backwards"))
             # The SYNC that showed it is the first of the new clock.
             self._open = exchange if exchange and exchange[0] == robot_ns else None
             newest_ns = None
@@ -246,7 +271,7 @@ class ClockSync:
                 return
             # Two in a row: the clock is wrong, not the exchange.
             latest = self._open
-            self.restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped"))
+            self._restart(Reason(ReasonCode.CLOCK_JUMPED, "the robot's clock jumped"))
             self._open, self._newest_ns = latest, exchange.robot_ns
             if abs(exchange.offset_ns - suspect.offset_ns) <= (
                 exchange.round_trip_ns + suspect.round_trip_ns
@@ -278,7 +303,7 @@ class ClockSync:
             if late_ns > LATE_NS and self._two_way is None:
                 newest_ns = self._newest_ns
                 text = "the robot's clock was set back, or the serial line became slow"
-                self.restart(Reason(ReasonCode.CLOCK_LATE, text))
+                self._restart(Reason(ReasonCode.CLOCK_LATE, text))
                 self._buckets.extend(latest)
                 self._newest_ns = newest_ns
         self._one_way = _lower_line(self._buckets)

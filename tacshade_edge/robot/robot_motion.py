@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 
-from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.clock_sync import ClockSync, SyncState
 from tacshade_edge.robot.pose import PoseSample
 from tacshade_edge.robot.pose_buffer import PoseBuffer
@@ -65,7 +64,7 @@ class RobotMotion:
                 self._sync.sync_received(heard.t1_ns, heard.t2_ns, heard.t4_ns)
                 self._sync.sync_answered(heard.t3_ns)
             else:
-                self._sync.restart(Reason(ReasonCode.ROBOT_RESTARTED, "the robot restarted"))
+                self._sync.robot_restarted()
             # Clock first, pose last: a stamp may itself show that the clock jumped, and then the
             # poses before it are of another clock while this one is of the new.
             if self._restarts != self._sync.counts.restarts:

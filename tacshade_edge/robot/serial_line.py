@@ -20,7 +20,7 @@ from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot_motion import PoseHeard, RobotMotion, RobotRestarted
 from tacshade_edge.robot.serial_commands import SerialCommands
 from tacshade_edge.robot.serial_link import Greeted, PoseArrived, SerialLink
-from tacshade_edge.robot.verbs import ready_text
+from tacshade_edge.robot.verbs import rate_text, ready_text
 
 _log = logging.getLogger(__name__)
 
@@ -71,7 +71,7 @@ class SerialChannel:
         self._unsent_bytes = 0
         self._write_after_s = 0.0
         self._missing, self._gap_sent_ns, self._gap_logged_ns = 0, 0, 0
-        self._sent_sync = "none"
+        self._sent_sync, self._sent_rate = "none", ""
 
     def line(self) -> LineState:
         """The line now; for any thread."""
@@ -161,6 +161,12 @@ class SerialChannel:
                 )
             self._missing, self._gap_sent_ns = 0, now_ns
         sync = self._motion.state()
+        rate = "" if sync.suspected is None else rate_text(sync.suspected)
+        if rate != self._sent_rate:
+            self._sent_rate = rate
+            if sync.suspected is not None:
+                self._link.notify(rate)
+                _log.warning("%s", sync.suspected)
         if sync.mode != self._sent_sync:
             self._sent_sync = sync.mode
             self._link.notify(f"SYNC mode={sync.mode} error_us={sync.error_us}")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.line import Line, printable, seal
 from tacshade_edge.robot.pose import T_NS_MAX, parse_time
@@ -225,6 +226,15 @@ def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str
 def ready_text(away_ms: int) -> str:
     """The event of a port that was opened after an absence, or 0."""
     return f"READY tacshade {PROTOCOL_VERSION}" + (f" away_ms={away_ms}" if away_ms else "")
+
+
+def rate_text(found: Suspicion) -> str:
+    """The event of times that pass too fast, too slowly or backwards."""
+    unit = found.values.get("unit")
+    # ASCII, without a blank within a value.
+    seems = UNKNOWN if unit is None else str(unit).replace(" ", "").replace("µ", "u")
+    rate = float(f"{found.values['rate']:.1g}")
+    return f"CLOCK rate={rate:g} unit={seems} expected=ns"
 
 
 def _figure_text(name: str, value: object) -> object:

@@ -31,7 +31,7 @@ def recording(tmp_path: Path) -> Path:
             path.write_bytes(b"no image")
         else:
             cv2.imwrite(str(path), image)
-    rows = [f"{k:06}.png,{1000 + k},,,,,,,," for k in range(4)]
+    rows = [f"{k:06}.png,{1000 + k * 10**8},,,,,,,," for k in range(4)]
     (tmp_path / "frames.csv").write_text(
         "\n".join(["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz,pose_error_us", *rows]) + "\n"
     )
@@ -43,8 +43,8 @@ def test_a_recording_gives_every_frame(recording: Path, caplog: pytest.LogCaptur
         found = list(results)
         assert [(r.seq, r.t_ns, r.in_contact) for r in found] == [
             (0, 1000, False),
-            (1, 1001, True),
-            (3, 1003, False),
+            (1, 100_001_000, True),
+            (3, 300_001_000, False),
         ]
         assert found[1].objects[0].id is not None
         assert results.passed_over == 1

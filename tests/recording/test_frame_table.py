@@ -196,3 +196,37 @@ def test_lines_become_poses(tmp_path: Path) -> None:
 def test_a_mistake_in_poses_names_the_line(tmp_path: Path, line: str, message: str) -> None:
     with pytest.raises(ConfigError, match=rf"POSES\.csv.*{message}"):
         read_poses(poses_table(tmp_path, line))
+
+
+def test_a_spreadsheets_table_says_so(tmp_path: Path) -> None:
+    *rows, _ = checked_table(12).decode().split("\n")
+    rounded = [
+        rows[0],
+        *(f"{a},{int(b):.11E},{c}" for a, b, c in (r.split(",", 2) for r in rows[1:])),
+    ]
+    edited = [rows[0], *(f"{row[:-8]}{'0' * 8}" for row in rows[1:])]
+    path = tmp_path / "frames.csv"
+    for lines, said in (
+        (
+            rounded,
+            r"found no rows.*found '8\.1200000000\dE\+10', expected a whole number .*spreadsheet",
+        ),
+        (edited, "found no rows.*was the table edited"),
+        ([line.rpartition(",")[0] for line in rounded], r"2: t_ns: found '8\.12.* spreadsheet"),
+    ):
+        path.write_text("\n".join(lines) + "\n")
+        with pytest.raises(ConfigError, match=said):
+            read_table(path)
+
+
+def test_times_in_another_unit_are_said_and_the_frames_read(tmp_path: Path) -> None:
+    path = tmp_path / "frames.csv"
+    path.write_text(PLAIN + "".join(f"{k}.png,{k * 33},,,,,,,\n" for k in range(9)))
+    table = read_table(path)
+    assert len(table) == 9
+    assert table.damage == (
+        f"{path}: t_ns: found frames 33 ns apart, expected at least 100000 ns: are the times in ms?"
+    )
+    path.write_text(PLAIN + "0.png,0.5,,,,,,,\n")
+    with pytest.raises(ConfigError, match=r"2: t_ns: found '0\.5', .* are the times in s\?"):
+        read_table(path)

@@ -1,0 +1,6 @@
+"""Judges whether numbers of a table or a stream can be in the unit that they are read in.
+
+In: what was read, and what the sensor is or sees. Out: suspicions, as codes with values.
+Threads: none.
+Other rooms use: `frame_times`, `stream_clock`, `suspicions`.
+"""
