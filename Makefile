@@ -105,11 +105,7 @@ lock: .venv/dev.stamp
 	  --output-file tools/ci/requirements.lock
 
 bill: .venv/dev.stamp
-	$(UV) venv --quiet --clear out/locked
-	$(UV) pip install --quiet --python out/locked --require-hashes --no-deps -r systemd/requirements.lock
-	mkdir -p $(DIST)
-	$(UV) tool run --quiet --from 'cyclonedx-bom>=7' cyclonedx-py environment --pyproject pyproject.toml \
-	  --output-reproducible --output-file $(DIST)/bill.cdx.json out/locked
+	$(PY) -m tools.release.bill --out $(DIST)
 
 faults: .venv/dev.stamp
 	$(PY) -m tools.faults table

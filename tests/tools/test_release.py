@@ -12,6 +12,7 @@ import venv
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from support.booted_machine import LOCK
 from support.calibrated_sensor import calibrated, pressed
 
 from tacshade_edge.calibration.files import calibration_file
-from tools.release import distributions
+from tools.release import bill, distributions
 from tools.release.version import UNKNOWN, version, version_of
 from tools.testbed.patience import patience
 
@@ -206,10 +207,15 @@ def pinned(python: str) -> dict[str, str]:
     for requirement, _ in entries():
         if requirement.marker is None or requirement.marker.evaluate(environment):
             assert requirement.name not in found
-            (only,) = requirement.specifier
-            assert only.operator == "=="
-            found[requirement.name] = only.version
+            found[requirement.name] = only(requirement)
     return found
+
+
+def only(requirement: Requirement) -> str:
+    """The one version that a requirement permits."""
+    (specifier,) = requirement.specifier
+    assert specifier.operator == "=="
+    return specifier.version
 
 
 @pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
@@ -219,6 +225,40 @@ def test_the_lock_keeps_to_pyproject(python: str) -> None:
     asked = [*project["dependencies"], *project["optional-dependencies"]["dashboard"]]
     for requirement in map(Requirement, [*asked, *pyproject["build-system"]["requires"]]):
         assert requirement.specifier.contains(found[requirement.name]), requirement
+
+
+def listed(python: str) -> dict[str, Any]:
+    """A bill of what is pinned for one Python, as ``cyclonedx-py`` writes it."""
+    refs = {f"{name}=={version}": (name, version) for name, version in pinned(python).items()}
+    return {
+        "metadata": {"component": {"bom-ref": "root-component"}},
+        "components": [
+            {"bom-ref": ref, "name": name, "version": version}
+            for ref, (name, version) in refs.items()
+        ],
+        "dependencies": [
+            {"ref": "root-component", "dependsOn": sorted(refs)},
+            *({"ref": ref} for ref in refs),
+        ],
+    }
+
+
+def test_the_bill_lists_what_is_pinned_for_any_python() -> None:
+    lock, supported = LOCK.read_text(), bill.pythons(ROOT)
+    assert supported == ["3.11", "3.12", "3.13"]
+    assert bill.pinned(lock) == {(each.name, only(each)) for each, _ in entries()}
+    one = listed("3.11")
+    assert bill.missing(one, lock) == [
+        f"{name} {version}"
+        for name, version in sorted(bill.pinned(lock) - set(pinned("3.11").items()))
+    ]
+    whole = bill.joined(map(listed, supported))
+    assert bill.missing(whole, lock) == []
+    refs = [each["bom-ref"] for each in whole["components"]]
+    assert refs == sorted(set(refs))
+    needs = {each["ref"]: each.get("dependsOn") for each in whole["dependencies"]}
+    assert needs == {"root-component": refs} | dict.fromkeys(refs)
+    assert whole["metadata"] == one["metadata"]
 
 
 def test_everything_is_a_wheel_with_its_hashes() -> None:
