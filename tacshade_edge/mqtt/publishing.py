@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from tacshade_edge.types import Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.sensor_topics import ContactEvent
+
+_log = logging.getLogger(__name__)
 
 # Without contact; in contact, every frame is published.
 CONTACT_PERIOD_NS = 100_000_000
@@ -239,13 +242,19 @@ class HealthReport(FrameObserver):
 
 
 WIDTH_PX = 320
+ASPECT_MAX = 16
+"""Greatest ratio of a picture's sides; a JPEG of some longer ones cannot be made."""
 
 
 class Preview(FrameObserver):
-    """The ``preview`` message: a small picture of what the camera sees; no frame twice."""
+    """The ``preview`` message: a small picture of what the camera sees; no frame twice.
+
+    A picture with sides beyond `ASPECT_MAX` has none; the log says so once for each size.
+    """
 
     def __init__(self, link: MqttLink) -> None:
         self._link = link
+        self._refused: tuple[int, int] | None = None
         self._latest: Frame | None = None
         self._published: Frame | None = None
 
@@ -262,8 +271,18 @@ class Preview(FrameObserver):
         ):
             return
         self._published = frame
-        size = (WIDTH_PX, round(WIDTH_PX * frame.image.shape[0] / frame.image.shape[1]))
+        rows, cols = frame.image.shape[:2]
+        if max(rows, cols) > ASPECT_MAX * min(rows, cols):
+            self._refuse(rows, cols)
+            return
+        size = (WIDTH_PX, round(WIDTH_PX * rows / cols))
         _, jpeg = cv2.imencode(
             ".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA)
         )
         self._link.offer("preview", jpeg.tobytes(), frame.seq)
+
+    def _refuse(self, rows: int, cols: int) -> None:
+        if self._refused != (rows, cols):
+            self._refused = rows, cols
+            found = "no preview of %dx%d px, expected no side over %d times as long as the other"
+            _log.warning(found, cols, rows, ASPECT_MAX)
