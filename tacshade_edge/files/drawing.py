@@ -29,6 +29,7 @@ _FONT, _SCALE, _TICK_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 4
 # The least distance between ticks, at which long numbers stay apart.
 _LABEL_EVERY_PX = 46
 _LEGEND_PX = 22
+_BAR_LEAST_PX, _BAR_MOST_PX = 60, 300
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 _COLOURS = cv2.COLORMAP_VIRIDIS
 
@@ -187,10 +188,18 @@ def contact_sheet(tiles: Sequence[Tile]) -> U8:
     sheet = np.vstack(
         [np.hstack(drawn[k : k + SHEET_COLUMNS]) for k in range(0, len(drawn), SHEET_COLUMNS)]
     )
-    bar = colour_bar(min(sheet.shape[0] - TOP_PX - BOTTOM_PX, 300), top, "h (mm)")
-    below = sheet.shape[0] - bar.shape[0]
-    return np.hstack(
-        [sheet, cv2.copyMakeBorder(bar, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE)]
+    # A row of wide pictures is lower than any bar that can be read.
+    bar_px = min(max(sheet.shape[0] - TOP_PX - BOTTOM_PX, _BAR_LEAST_PX), _BAR_MOST_PX)
+    bar = colour_bar(bar_px, top, "h (mm)")
+    tallest = max(len(sheet), len(bar))
+    return np.hstack([_extended(sheet, tallest), _extended(bar, tallest)])
+
+
+def _extended(picture: U8, rows: int) -> U8:
+    """A picture with white below it, `rows` high."""
+    below = rows - len(picture)
+    return np.asarray(
+        cv2.copyMakeBorder(picture, 0, below, 0, 0, cv2.BORDER_CONSTANT, value=_WHITE), np.uint8
     )
 
 

@@ -53,3 +53,10 @@ def test_a_touch_of_unknown_depth_is_named_on_the_sheet() -> None:
     image = np.zeros((480, 640), np.uint8)
     assert tile("one", image, lost).text == "one: touched, depth unknown"
     assert tile("one", image, replace(lost, touched=False)).text == "one: no contact"
+
+
+@pytest.mark.parametrize("shape", [(1, 640), (40, 640), (480, 640), (640, 40)])
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_sheet_of_pictures_of_any_shape_has_a_bar(shape: tuple[int, int], count: int) -> None:
+    one = tile("one", np.zeros(shape, np.uint8), unmeasured(1))
+    assert contact_sheet([one] * count).shape[0] >= LEFT_PX

@@ -22,7 +22,7 @@ from tacshade_edge.files.drawing import SHEET_TILES, Tile, contact_sheet, panel,
 from tacshade_edge.files.images import images_in, read_image
 from tacshade_edge.pipeline.ledger import StageTimer
 from tacshade_edge.quoting import encodable
-from tacshade_edge.reasons import text_of
+from tacshade_edge.reasons import ReasonCode, code_of, text_of
 from tacshade_edge.recording.runs import summary
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import profile_with
@@ -129,7 +129,8 @@ def _reconstruct(
         if args.plot:
             drawn = panel(image, result, calibration.geometry)
             write_picture(args.out / f"{path.stem}.png", drawn)
-            if index in on_sheet:
+            # The map of a picture of another size would not lie over it.
+            if index in on_sheet and code_of(result.reason) != ReasonCode.SIZE:
                 done.tiles.append(tile(path.stem, image, result))
         named = encodable(str(path))
         done.records.append({"image": named, **summary(result), "elapsed_ms": elapsed_ms})

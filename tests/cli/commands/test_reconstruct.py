@@ -160,6 +160,31 @@ def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
     assert "empty: found no image" in capsys.readouterr().err
 
 
+def test_pictures_of_another_size_are_named_and_the_rest_is_on_the_sheet(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, out = tmp_path / "given", tmp_path / "out"
+    given.mkdir()
+    sizes = [(640, 40), (40, 640), (1, 1000), (1000, 1), (3, 8000), (8192, 16), (16, 16), (1, 1)]
+    for width, height in sizes:
+        picture = np.full((height, width, 3), 99, np.uint8)
+        cv2.imwrite(str(given / f"{width:04}x{height}.png"), picture)
+    assert main([*words(folder, out), str(given), "--plot"]) == 1
+    assert not (out / "contact-sheet.png").exists()
+    reasons = [record["reason"] for record in summary(out).values()]
+    assert sorted(reasons) == sorted(
+        f"size: found {width}x{height} px, expected the calibration's 320x240 px"
+        for width, height in sizes
+    )
+    assert capsys.readouterr().err.count(": invalid: size: found ") == len(sizes)
+    assert main([*words(folder, tmp_path / "ball", "ball"), "--plot"]) == 0
+    assert main([*words(folder, out, "ball"), str(given), "--plot"]) == 1
+    alone, sheet = (
+        cv2.imread(str(each / "contact-sheet.png")) for each in (tmp_path / "ball", out)
+    )
+    np.testing.assert_array_equal(sheet, alone)
+
+
 def test_a_damaged_calibration_is_one_line_and_78(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
