@@ -59,10 +59,17 @@ def part(path: Path) -> Path:
 
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
     """Write a file under a temporary name, then rename it; refuse to replace a device or pipe such
-    as ``/dev/null``. With `sync` it waits for the disk.
+    as ``/dev/null``. With `sync` it waits until the file and its name are on the disk.
 
     Raises OSError and then leaves nothing behind.
     """
+    _write(path, data, wait=sync)
+    if sync:
+        _sync_names(path.parent)
+
+
+def _write(path: Path, data: bytes | Iterable[bytes], *, wait: bool) -> None:
+    """Write a file whole; with `wait` its bytes are on the disk, its name need not be."""
     partial = part(path)
     with contextlib.suppress(FileNotFoundError):
         # os.replace would put a file in the place of the device.
@@ -71,7 +78,7 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
     try:
         with partial.open("wb") as stream:
             stream.writelines((data,) if isinstance(data, bytes) else data)
-            if sync:
+            if wait:
                 # Before the rename, which may reach the disk before the data: after a power cut,
                 # the name would stand for an empty file.
                 stream.flush()
@@ -86,28 +93,59 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
 def write_set(
     folder: Path, files: Mapping[str, bytes | Iterable[bytes]], manifest: str, about: bytes
 ) -> None:
-    """Write files that belong together, all to the disk before the first one replaces an older one:
-    `manifest` is absent while they are mixed with older ones.
+    """Write files that belong together, and their names, to the disk, all before the first one
+    replaces an older one: `manifest` is absent while they are mixed with older ones.
 
+    From then until the new ones are whole, the folder `previous_set` has the older ones, whole too.
     Raises OSError.
     """
-    new = [folder / f"{name}.new" for name in files]
+    new = [folder / f"{name}.new" for name in (*files, manifest)]
     try:
-        for path, data in zip(new, files.values(), strict=True):
-            write_whole(path, data)
+        for path, data in zip(new, (*files.values(), about), strict=True):
+            _write(path, data, wait=True)
+        if (folder / manifest).exists():
+            _keep(folder, (*files, manifest), manifest)
         # On the disk without the manifest before the first name changes: after a power cut between
         # two renames, its absence shows that the files are mixed.
         (folder / manifest).unlink(missing_ok=True)
         sync(folder)
-        for path in new:
+        *others, last = new
+        for path in others:
             os.replace(path, path.with_suffix(""))
         sync(folder)
-        write_whole(folder / manifest, about)
+        os.replace(last, folder / manifest)
+        sync(folder)
     except OSError:
         for path in new:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
         raise
+    # A rest of it harms nothing.
+    shutil.rmtree(previous_set(folder, manifest), ignore_errors=True)
+
+
+def previous_set(folder: Path, manifest: str) -> Path:
+    """Where `write_set` keeps the older files while it replaces them."""
+    return folder / f"{Path(manifest).stem}-previous"
+
+
+def _keep(folder: Path, names: Iterable[str], manifest: str) -> None:
+    """Make `previous_set` of those files that are there."""
+    kept = previous_set(folder, manifest)
+    partial = part(kept)
+    for path in (kept, partial):
+        shutil.rmtree(path, ignore_errors=True)
+    partial.mkdir()
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            try:
+                os.link(folder / name, partial / name)
+            except PermissionError:  # as on a file system without links
+                shutil.copyfile(folder / name, partial / name)
+                sync(partial / name)
+    sync(partial)
+    os.replace(partial, kept)
+    sync(folder)
 
 
 def sync(path: Path) -> None:
@@ -117,6 +155,18 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+# A folder that may be written but not read, and a file system that syncs no folders.
+_NOT_SYNCED = (errno.EACCES, errno.EINVAL)
+
+
+def _sync_names(folder: Path) -> None:
+    try:
+        sync(folder)
+    except OSError as error:
+        if error.errno not in _NOT_SYNCED:
+            raise
 
 
 LOCK_NAME = ".owner"

@@ -44,7 +44,8 @@ def write_map(
     more: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
     """Write all files of a map, so that files beside a ``map.json`` (with the additional keys
-    `details`) are of one map, also after a kill.
+    `details`) are of one map, also after a kill; those of an older map stay whole until then,
+    beside them or in ``map-previous``.
 
     Raises DeviceError.
     """

@@ -182,6 +182,7 @@ class StitchFile:
         with disk_errors(self.folder):
             # Without session.json the folder is no session, whatever else a crash leaves.
             (self.folder / SESSION).unlink(missing_ok=True)
+            sync(self.folder)
             (self.folder / PRESSES).unlink(missing_ok=True)
             if not any(self.folder.iterdir()):
                 self.folder.rmdir()

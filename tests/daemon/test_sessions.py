@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
+from support.synced_names import synced, unsynced
 
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
@@ -243,6 +244,20 @@ def test_a_killed_session_goes_on(tmp_path: Path, ball: Reconstruction) -> None:
         assert code(robot.ask("END")) is None
         robot.end()
     np.testing.assert_array_equal(second.maps[-1].raster().z_mm, whole.maps[-1].raster().z_mm)
+
+
+def test_an_acknowledged_end_is_on_the_disk(
+    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = Robot(tmp_path / "sessions")
+    robot.show(ball)
+    robot.ask("BEGIN", "pad")
+    robot.add(ball)
+    calls = synced(monkeypatch)
+    assert isinstance(robot.ask("END"), SessionEnded)
+    assert unsynced(list(calls)) == []
+    assert ("replace", tmp_path / "sessions/pad") in calls
+    robot.end()
 
 
 def test_what_cannot_be_added(robot: Robot, ball: Reconstruction, nothing: Reconstruction) -> None:

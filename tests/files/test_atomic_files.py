@@ -4,9 +4,17 @@ import os
 from pathlib import Path
 
 import pytest
+from support.synced_names import synced, unsynced
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.files.atomic_files import FolderLock, disk_errors, part, sync, write_whole
+from tacshade_edge.files.atomic_files import (
+    FolderLock,
+    disk_errors,
+    part,
+    sync,
+    write_set,
+    write_whole,
+)
 from tacshade_edge.reasons import ReasonCode
 
 
@@ -77,3 +85,16 @@ def test_one_file_alone_has_an_owner(tmp_path: Path) -> None:
     FolderLock(tmp_path, "sensor right", file="b.npz").release()
     FolderLock(tmp_path, "sensor right").release()
     lock.release()
+
+
+def test_a_new_name_is_on_the_disk_before_the_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = synced(monkeypatch)
+    write_whole(tmp_path / "a", b"one")
+    write_set(tmp_path, {"b": b"two"}, "all.json", b"three")
+    write_set(tmp_path, {"b": b"two"}, "all.json", b"three")
+    assert unsynced(calls) == []
+    write_whole(tmp_path / "a", b"one", sync=False)
+    assert unsynced(calls) == [tmp_path]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "all.json", "b"]

@@ -1,7 +1,10 @@
 import contextlib
+import itertools
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,30 +41,47 @@ def test_the_16_bit_picture_holds_the_heights(tmp_path: Path, height_mm: float) 
     ]
 
 
-@pytest.mark.parametrize("renames", [0, 1, 3, 5, 6])
-def test_a_kill_leaves_no_two_maps_beside_a_manifest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, renames: int
+CALLS = ("replace", "link", "unlink", "fsync", "mkdir", "rmdir")
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_a_kill_at_any_call_leaves_the_old_map_or_the_new_one_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool
 ) -> None:
     write_map(tmp_path, raster(), {"revision": 1})
     old = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    left, replace = renames, os.replace
+    manifest, is_whole = tmp_path / "map.json", False
+    for done in itertools.count():
+        left = done
 
-    def killed(source: Path, target: Path) -> None:
-        nonlocal left
-        if target.suffix != ".new":
-            if not left:
-                raise KeyboardInterrupt  # which nothing here catches, as a kill
-            left -= 1
-        replace(source, target)
+        def or_killed(name: str) -> Callable[..., Any]:
+            real = getattr(os, name)
 
-    monkeypatch.setattr(os, "replace", killed)
-    with contextlib.suppress(KeyboardInterrupt):
-        write_map(tmp_path, raster(rows=31, height_mm=3.0), {"revision": 2})
-    changed = {
-        (tmp_path / name).read_bytes() != data for name, data in old.items() if name != "map.json"
-    }
-    if (tmp_path / "map.json").exists():
-        assert changed == {json.loads((tmp_path / "map.json").read_text())["revision"] == 2}
-    monkeypatch.undo()
-    write_map(tmp_path, raster(), {"revision": 1})
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
+            def call(*words: Any, **more: Any) -> Any:
+                nonlocal left
+                if not left:
+                    raise KeyboardInterrupt  # which nothing here catches, as a kill
+                left -= 1
+                if name == "link" and not has_links:
+                    raise PermissionError
+                return real(*words, **more)
+
+            return call
+
+        with monkeypatch.context() as killing, contextlib.suppress(KeyboardInterrupt):
+            for name in CALLS:
+                killing.setattr(os, name, or_killed(name))
+            write_map(tmp_path, raster(rows=31, height_mm=3.0), {"revision": 2})
+            is_whole = True
+        found = {name: (tmp_path / name).read_bytes() for name in old if name != manifest.name}
+        changed = {data != old[name] for name, data in found.items()}
+        if manifest.exists():
+            assert changed == {json.loads(manifest.read_text())["revision"] == 2}
+        else:
+            previous = tmp_path / "map-previous"
+            assert {path.name: path.read_bytes() for path in previous.iterdir()} == old
+        write_map(tmp_path, raster(), {"revision": 1})
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
+        if is_whole:
+            break
+    assert done > 20

@@ -51,6 +51,7 @@ def save(path: Path, known: Known) -> None:
     with disk_errors(path.parent):
         if not any(known.values()):
             path.unlink(missing_ok=True)
+            sync(path.parent)
             return
         counts = {
             profile: {each.name: len(each.touches) for each in objects}
@@ -62,7 +63,6 @@ def save(path: Path, known: Known) -> None:
         }
         meta = {"version": VERSION, "touches": {p: list(c.items()) for p, c in counts.items()}}
         write_whole(path, Content(meta, arrays).packed())
-        sync(path.parent)
 
 
 def load(path: Path) -> Known:

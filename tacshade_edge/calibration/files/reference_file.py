@@ -13,7 +13,7 @@ from typing import Literal
 from tacshade_edge.calibration.files.calibration_file import REFERENCE_ARRAYS, with_crc
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files import npz
-from tacshade_edge.files.atomic_files import disk_errors, sync, write_whole
+from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.npz import Content, parts_of, record_of
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import ReasonCode
@@ -86,7 +86,6 @@ def save(path: Path, calibrated: Calibration, reference: StoredReference) -> Non
         meta["limits"] = {name: asdict(each) for name, each in reference.limits.items()}
     with disk_errors(path.parent):
         write_whole(path, Content(meta, images).packed())
-        sync(path.parent)
 
 
 def load(path: Path, calibrated: Calibration) -> StoredReference | None:
