@@ -12,17 +12,17 @@ import logging
 import os
 import re
 import shutil
-import stat
 import sys
-import tarfile
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request
 
+from tacshade_edge.dashboard.downloads import ASKED, Downloads
+from tacshade_edge.dashboard.recording_tar import errors
 from tacshade_edge.dashboard.relay import STALL_S, Broker
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.quoting import escaped, shown
@@ -47,7 +47,6 @@ _LOCKED: Final = ("events.jsonl.part", "events.jsonl")
 however long no frame comes.
 """
 _ABOUT_BYTES_MAX: Final = 1 << 20
-_CHUNK_BYTES: Final = 1 << 18
 _NAME: Final = re.compile(RECORD_NAME)
 
 
@@ -102,67 +101,18 @@ def find(folder: Path, name: object) -> Path:
     return path
 
 
-@contextlib.contextmanager
-def _errors(what: str) -> Iterator[None]:
-    """Raise a DeviceError that begins with `what` in place of an OSError; a time-out passes."""
-    try:
-        yield
-    except TimeoutError:
-        raise
-    except OSError as error:
-        raise DeviceError(f"{what}: {error.strerror or error}") from error
-
-
 def delete(path: Path) -> None:
     """Delete a recording that `find` returned.
 
     Raises DeviceError; some files may already be deleted.
     """
-    with _errors(f"{path.name} cannot be deleted"):
+    with errors(f"{path.name} cannot be deleted"):
         shutil.rmtree(path)
-
-
-def tar_bytes(path: Path) -> int:
-    """Return how many bytes `tar` writes if nothing changes. Raises DeviceError."""
-    blocks = 2 + sum(1 + -(-about.st_size // tarfile.BLOCKSIZE) for _, about in _files(path))
-    return -(-blocks * tarfile.BLOCKSIZE // tarfile.RECORDSIZE) * tarfile.RECORDSIZE
-
-
-def tar(path: Path, write: Callable[[bytes], object]) -> None:
-    """Write a recording's regular files as a tar, in pieces.
-
-    Raises DeviceError if a file is unreadable.
-    """
-    sink = SimpleNamespace(write=write)
-    # Closed only when whole: its end would make a part of it look complete.
-    archive = tarfile.open(  # noqa: SIM115
-        fileobj=sink, mode="w|", bufsize=_CHUNK_BYTES, format=tarfile.GNU_FORMAT
-    )
-    try:
-        for name, about in _files(path):
-            info = tarfile.TarInfo(f"{path.name}/{name}")
-            info.size, info.mtime = about.st_size, int(about.st_mtime)
-            with (
-                _errors(f"{name} cannot be read"),
-                open(
-                    os.open(path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb"
-                ) as stream,
-            ):
-                archive.addfile(info, stream)
-        archive.close()
-    finally:
-        sink.write = len  # an archive that is not closed writes its rest when it is collected
-
-
-def _files(path: Path) -> list[tuple[str, os.stat_result]]:
-    with _errors(f"{path.name} cannot be read"), os.scandir(path) as entries:
-        found = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
-    return sorted((name, about) for name, about in found if stat.S_ISREG(about.st_mode))
 
 
 def _names(folder: Path) -> list[str]:
     """Return the subfolders with a valid name of a recording, without links."""
-    with _errors(str(folder)), os.scandir(folder) as entries:
+    with errors(str(folder)), os.scandir(folder) as entries:
         found = [
             entry.name
             for entry in entries
@@ -228,9 +178,12 @@ class RecordingCommands:
     one recording plays at a time, to `broker`.
     """
 
-    def __init__(self, folder: Path | None, broker: Broker, *, read_only: bool) -> None:
+    def __init__(
+        self, folder: Path | None, broker: Broker, downloads: Downloads, *, read_only: bool
+    ) -> None:
         self._folder = folder
         self._broker = broker
+        self._downloads = downloads
         self._read_only = read_only
         self._played = ""
         self._player = asyncio.Lock()
@@ -270,17 +223,24 @@ class RecordingCommands:
         else:
             raise DeviceError("found an unknown action, expected list, download, delete or play")
 
+    async def download(self, page: ServerConnection, request: Request, name: str) -> None:
+        """Answer an HTTP request for a recording's tar.
+
+        Raises DeviceError before anything is sent.
+        """
+        if self._folder is None:
+            raise DeviceError("this dashboard lists no recordings")
+        with self._downloads.place():
+            tar = await self._downloads.tar(await asyncio.to_thread(find, self._folder, name))
+            body = getattr(request, "method", "GET") != "HEAD"
+            asked = {key: request.headers[key] for key in ASKED if key in request.headers}
+            await self._downloads.answer(page, tar, asked, body=body)
+
     async def _download(self, page: ServerConnection, path: Path) -> None:
-        await _answer(page, ok=True, bytes=await asyncio.to_thread(tar_bytes, path))
-        loop = asyncio.get_running_loop()
-
-        async def send(piece: bytes) -> None:
-            async with asyncio.timeout(STALL_S):
-                await page.send(piece)
-
-        await asyncio.to_thread(
-            tar, path, lambda piece: asyncio.run_coroutine_threadsafe(send(piece), loop).result()
-        )
+        with self._downloads.place():
+            tar = await self._downloads.tar(path)
+            await _answer(page, ok=True, bytes=tar.size_bytes)
+            await self._downloads.send(page, tar)
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play a recording for as long as the page keeps this connection open."""

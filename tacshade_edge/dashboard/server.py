@@ -13,7 +13,8 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol, cast
+from urllib.parse import unquote
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
@@ -22,6 +23,7 @@ from websockets.typing import Subprotocol
 
 from tacshade_edge.dashboard import access
 from tacshade_edge.dashboard.access import Login
+from tacshade_edge.dashboard.downloads import RETRY_S, BusyError, Downloads
 from tacshade_edge.dashboard.page_files import File, load, security_headers
 from tacshade_edge.dashboard.recordings import RecordingCommands
 from tacshade_edge.dashboard.relay import FROM_PAGE_BYTES_MAX, Bridge, Broker
@@ -43,7 +45,10 @@ which queues up to 20 messages if the page does not read.
 UNSENT_BYTES_MAX: Final = 1 << 20
 """Answers (pongs) in bytes that a peer may leave unread; our own messages wait long before that."""
 _WEBSOCKETS: Final = ("/mqtt", "/recordings")
+_DOWNLOADS: Final = "/recordings/"
+_TAR: Final = ".tar"
 _METHODS: Final = ("GET", "HEAD")
+_TWICE: Final = "found a header more than once, expected each once"
 _INDEX: Final = ("/", "/index.html")
 _LOGIN: Final = "/login"
 _OPEN: Final = (_LOGIN, "/login.js", "/style.css", "/favicon.svg")  # served without a token
@@ -99,9 +104,18 @@ class Bounds:
         pages = self._pages
 
         class Connection(ServerConnection):
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                super().connection_made(transport)
+                # Not the server's time-out for opening, which would also end a download.
+                self._silence = self.loop.call_later(_SPEAK_S, self.transport.abort)
+
+            def has_spoken(self) -> None:
+                self._silence.cancel()
+
             def connection_lost(self, exc: Exception | None) -> None:
                 # Also a page that never finished its handshake must give its place back.
                 pages.discard(self)
+                self._silence.cancel()
                 super().connection_lost(exc)
 
             def data_received(self, data: bytes) -> None:
@@ -129,6 +143,17 @@ def report_device_errors(loop: asyncio.AbstractEventLoop, context: dict[str, Any
         loop.default_exception_handler(context)
 
 
+class HasSpoken(Protocol):
+    """A connection whose request has come."""
+
+    def has_spoken(self) -> None:
+        """Let it be open from now on."""
+
+
+def _is_download(path: str) -> bool:
+    return path.startswith(_DOWNLOADS) and path.endswith(_TAR)
+
+
 class Pages:
     """The answers to HTTP requests; permitted WebSocket requests pass.
 
@@ -141,16 +166,41 @@ class Pages:
         allowed_origins: Collection[str],
         bounds: Bounds,
         tokens: Login | None,
+        commands: RecordingCommands,
     ) -> None:
         self._tokens = tokens
+        self._commands = commands
         self._files = files
         self._headers = security_headers(self._files)
         self._allowed_origins = allowed_origins
         self._bounds = bounds
         self._refused = ""
 
-    def answer(self, page: ServerConnection, request: Request) -> Response | None:
-        """Return the response to a plain or rejected request; None opens the WebSocket."""
+    async def answer(self, page: ServerConnection, request: Request) -> Response | None:
+        """Return the response to a plain or rejected request; None opens the WebSocket.
+
+        A download is answered here, as long as it takes.
+        """
+        cast(HasSpoken, page).has_spoken()
+        response = self._answer(page, request)
+        path = request.path.partition("?")[0]
+        if response is not None or not _is_download(path):
+            return response
+        try:
+            await self._commands.download(
+                page, request, unquote(path[len(_DOWNLOADS) : -len(_TAR)])
+            )
+        except LookupError:
+            return self._text(HTTPStatus.BAD_REQUEST, _TWICE)
+        except BusyError as error:
+            later = {"Retry-After": str(RETRY_S)}
+            return self._text(HTTPStatus.SERVICE_UNAVAILABLE, str(error), later)
+        except DeviceError as error:
+            return self._text(HTTPStatus.NOT_FOUND, str(error))
+        # Never sent: the connection is closed.
+        return self._text(HTTPStatus.OK, "")
+
+    def _answer(self, page: ServerConnection, request: Request) -> Response | None:
         # websockets before 17 rejects all other methods by itself.
         method = getattr(request, "method", "GET")
         if method not in _METHODS:
@@ -162,9 +212,7 @@ class Pages:
         try:
             response = self._get(page, request)
         except LookupError:
-            response = self._text(
-                HTTPStatus.BAD_REQUEST, "found a header more than once, expected each once"
-            )
+            response = self._text(HTTPStatus.BAD_REQUEST, _TWICE)
         if response is not None and method == "HEAD":
             response.body = b""
         return response
@@ -177,6 +225,8 @@ class Pages:
                 return response
         if path in _WEBSOCKETS:
             return self._check(page, request)
+        if _is_download(path):
+            return self._refuse_strange_host(request.headers.get("Host") or "")
         file = self._files.get(path)
         if file is None:
             return self._text(HTTPStatus.NOT_FOUND, "not found")
@@ -214,6 +264,16 @@ class Pages:
             if path == _LOGIN
             else None
         )
+
+    def _refuse_strange_host(self, host: str) -> Response | None:
+        """The response to a page that has pointed its own name at our address, and could read what
+        it gets; such a page sends no origin.
+        """
+        why = [
+            access.refusal(f"{scheme}://{host}", host, self._allowed_origins)
+            for scheme in ("http", "https")
+        ]
+        return self._text(HTTPStatus.FORBIDDEN, why[0]) if all(why) else None
 
     def _check(self, page: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Upgrade", "").lower() != "websocket":
@@ -266,7 +326,7 @@ async def run(
     asyncio.get_running_loop().set_exception_handler(report_device_errors)
     bounds = Bounds()
     bridge = Bridge(broker, read_only=read_only)
-    commands = RecordingCommands(recordings, broker, read_only=read_only)
+    commands = RecordingCommands(recordings, broker, Downloads(), read_only=read_only)
 
     async def serve_page(page: ServerConnection) -> None:
         assert page.request is not None
@@ -283,7 +343,7 @@ async def run(
         server = await serve(
             serve_page,
             sock=listener,
-            process_request=Pages(files, allowed_origins, bounds, tokens).answer,
+            process_request=Pages(files, allowed_origins, bounds, tokens, commands).answer,
             create_connection=bounds.connection(),
             **_protocol(tls),
         )
@@ -309,7 +369,8 @@ def _protocol(tls: ssl.SSLContext | None) -> dict[str, Any]:
         # asyncio refuses these two, even as numbers, on a socket without TLS.
         "ssl_handshake_timeout": _SPEAK_S if tls else None,
         "ssl_shutdown_timeout": _CLOSE_S if tls else None,
-        "open_timeout": _SPEAK_S,
+        # `Bounds.connection` limits how long a connection may stay silent.
+        "open_timeout": None,
         "max_queue": _FRAMES_WAITING_MAX,
         "subprotocols": [Subprotocol("mqtt"), Subprotocol("tacshade-recordings")],
         # Compression would cost the board more than it saves:

@@ -21,7 +21,7 @@ from support.recordings import recorded, write_recording
 from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 
 from tacshade_edge.calibration.files import calibration_file
-from tacshade_edge.dashboard import recordings
+from tacshade_edge.dashboard.recording_tar import tar_of
 from tools.testbed.mqtt_rig import Broker, Subscriber
 from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 from tools.testbed.patience import patience, wait_until
@@ -73,9 +73,7 @@ def test_a_recording_is_downloaded_and_deleted(page: Chrome, tmp_path: Path) -> 
             "crypto.subtle.digest('SHA-256', all)).then((found) => done([...new "
             "Uint8Array(found)]));"
         )
-        pieces: list[bytes] = []
-        recordings.tar(path, pieces.append)
-        assert bytes(digest) == hashlib.sha256(b"".join(pieces)).digest()
+        assert bytes(digest) == hashlib.sha256(b"".join(tar_of(path).pieces())).digest()
 
         press(page, "Delete", "press-1")
         page.switch_to.alert.dismiss()

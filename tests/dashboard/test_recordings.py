@@ -5,7 +5,6 @@ and the commands through the real server.
 from __future__ import annotations
 
 import asyncio
-import gc
 import io
 import json
 import os
@@ -21,6 +20,7 @@ from websockets.exceptions import InvalidStatus
 
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.dashboard import recordings
+from tacshade_edge.dashboard.recording_tar import CHUNK_BYTES, tar_of
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.types import Frame
@@ -115,13 +115,15 @@ def test_the_tar_is_what_tar_reads_without_links(tmp_path: Path) -> None:
         10240 - 512,
     ):  # of the last block, and of what is sent at once
         (path / f"size-{size}").write_bytes(bytes([size % 256]) * size)
-    pieces: list[bytes] = []
-    recordings.tar(path, pieces.append)
+    tar = tar_of(path)
+    pieces = list(tar.pieces())
     assert all(pieces)
     whole = b"".join(pieces)
-    assert len(whole) == recordings.tar_bytes(path)
-    with tarfile.open(fileobj=io.BytesIO(whole)) as tar:
-        tar.extractall(tmp_path / "there", filter="data")
+    assert len(whole) == tar.size_bytes
+    for start, stop in ((0, 1), (511, 513), (5000, 700_000), (len(whole) - 1, len(whole))):
+        assert b"".join(tar.pieces(start, stop)) == whole[start:stop]
+    with tarfile.open(fileobj=io.BytesIO(whole)) as opened:
+        opened.extractall(tmp_path / "there", filter="data")
     there = tmp_path / "there/run"
     assert {p.name: p.read_bytes() for p in there.iterdir()} == {
         p.name: p.read_bytes() for p in path.iterdir() if p.is_file() and not p.is_symlink()
@@ -131,17 +133,13 @@ def test_the_tar_is_what_tar_reads_without_links(tmp_path: Path) -> None:
 def test_a_file_that_shrinks_meanwhile_is_an_error_and_not_a_wrong_tar(tmp_path: Path) -> None:
     path = recorded(tmp_path, "run")
     (path / "a.bin").write_bytes(bytes(1 << 22))
-    pieces: list[bytes] = []
-
-    def write(piece: bytes) -> None:
-        pieces.append(piece)
-        (path / "a.bin").write_bytes(b"")
-
+    pieces = tar_of(path).pieces()
+    while len(next(pieces)) < CHUNK_BYTES:
+        pass
+    (path / "a.bin").write_bytes(b"")
     with pytest.raises(DeviceError, match=r"a\.bin cannot be read: unexpected end"):
-        recordings.tar(path, write)
-    before = len(pieces)
-    gc.collect()
-    assert len(pieces) == before
+        next(pieces)
+    assert list(pieces) == []
 
 
 def test_deleting_follows_no_links(tmp_path: Path) -> None:
