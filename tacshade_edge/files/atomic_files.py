@@ -57,12 +57,20 @@ def part(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
+_MOUNTED = (
+    "the file itself is a mount and cannot be replaced; mount the folder that contains it instead"
+)
+
+
 def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True) -> None:
     """Write a file under a temporary name, then rename it; refuse to replace a device or pipe such
-    as ``/dev/null``. With `sync` it waits until the file and its name are on the disk.
+    as ``/dev/null``. A link's target is written, and what is replaced keeps its mode and, where
+    that is allowed, its owner. With `sync` it waits until the file and its name are on the disk.
 
     Raises OSError and then leaves nothing behind.
     """
+    # A rename would replace the link, and leave the file that it names as it was.
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     _write(path, data, wait=sync)
     if sync:
         _sync_names(path.parent)
@@ -71,12 +79,16 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
 def _write(path: Path, data: bytes | Iterable[bytes], *, wait: bool) -> None:
     """Write a file whole; with `wait` its bytes are on the disk, its name need not be."""
     partial = part(path)
+    before: os.stat_result | None = None
     with contextlib.suppress(FileNotFoundError):
+        before = path.stat()
         # os.replace would put a file in the place of the device.
-        if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
+        if stat.S_IFMT(before.st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
             raise OSError(errno.EEXIST, "found no regular file", str(path))
     try:
         with partial.open("wb") as stream:
+            if before is not None:
+                _take_over(stream.fileno(), before)
             stream.writelines((data,) if isinstance(data, bytes) else data)
             if wait:
                 # Before the rename, which may reach the disk before the data: after a power cut,
@@ -84,10 +96,25 @@ def _write(path: Path, data: bytes | Iterable[bytes], *, wait: bool) -> None:
                 stream.flush()
                 os.fsync(stream.fileno())
         os.replace(partial, path)
-    except OSError:
+    except OSError as error:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+        if error.errno == errno.EBUSY:
+            raise OSError(errno.EBUSY, _MOUNTED, str(path)) from None
         raise
+
+
+def _take_over(descriptor: int, before: os.stat_result) -> None:
+    """Give a new file the owner and the mode of the one that it replaces, as far as allowed."""
+    if not stat.S_ISREG(before.st_mode):
+        return
+    now = os.fstat(descriptor)
+    with contextlib.suppress(PermissionError):
+        if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+            os.fchown(descriptor, before.st_uid, before.st_gid)
+    # Last: a change of the owner takes bits away. Some file systems have no modes.
+    with contextlib.suppress(PermissionError):
+        os.fchmod(descriptor, stat.S_IMODE(before.st_mode))
 
 
 def write_set(

@@ -36,8 +36,25 @@ def read_image(path: Path) -> U8:
         raise DecodeError(f"{shown(path)}: {error}") from None
 
 
+def by_number(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """The key of a name's place in its folder: numbers in it sort as numbers, ``frame2`` before
+    ``frame10``.
+    """
+    parts = re.split(r"(\d+)", path.name, flags=re.ASCII)
+    # Digits are at every second place, so no number meets a text.
+    numbers = [(int(part), "") if at % 2 else (0, part) for at, part in enumerate(parts)]
+    return numbers, path.name
+
+
+def is_hidden(path: Path) -> bool:
+    """Whether a name is that of a file that a system puts beside a person's, such as the ``._``
+    companions of macOS.
+    """
+    return path.name.startswith(".")
+
+
 def images_in(given: Iterable[Path]) -> list[Path]:
-    """The given images, and for a folder those in it, by name.
+    """The given images, and for a folder those in it, by name and number, without hidden files.
 
     Raises ConfigError for a folder without any.
     """
@@ -45,11 +62,12 @@ def images_in(given: Iterable[Path]) -> list[Path]:
     for path in given:
         # A folder may hold anything else beside its images; a file that is named is meant.
         if path.is_dir():
-            found = sorted(
+            images_there = (
                 each
                 for each in path.iterdir()
-                if each.suffix.lower() in SUFFIXES and each.is_file()
+                if each.suffix.lower() in SUFFIXES and not is_hidden(each) and each.is_file()
             )
+            found = sorted(images_there, key=by_number)
             if not found:
                 expected = f"expected at least one file of {', '.join(sorted(SUFFIXES))}"
                 raise ConfigError(f"{shown(path)}: found no image, {expected}")

@@ -1,9 +1,15 @@
 from __future__ import annotations
 
 import os
+import shlex
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.synced_names import synced, unsynced
 
 from tacshade_edge.errors import DeviceError
@@ -98,3 +104,64 @@ def test_a_new_name_is_on_the_disk_before_the_answer(
     write_whole(tmp_path / "a", b"one", sync=False)
     assert unsynced(calls) == [tmp_path]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "all.json", "b"]
+
+
+def test_a_link_stays_and_its_target_is_written(tmp_path: Path) -> None:
+    for name in ("versions", "used"):
+        (tmp_path / name).mkdir()
+    link, target = tmp_path / "used" / "current", tmp_path / "versions" / "1"
+    link.symlink_to("../versions/1")
+    for data in (b"one", b"two"):  # at first it names nothing
+        write_whole(link, data)
+        assert link.is_symlink()
+        assert target.read_bytes() == data
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file() and path != link] == ["1"]
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(OSError, match="symbolic links"):
+        write_whole(tmp_path / "loop", b"data")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 0o777), st.booleans())
+def test_what_is_replaced_keeps_its_mode_and_owner(mode: int, linked: bool) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a"
+        path.write_bytes(b"one")
+        path.chmod(mode)
+        if os.geteuid() == 0:
+            os.chown(path, 1234, 4321)
+        before = path.stat()
+        given_path = Path(folder) / "b" if linked else path
+        if linked:
+            given_path.symlink_to("a")
+        write_whole(given_path, b"two", sync=False)
+        after = path.stat()
+        assert after.st_ino != before.st_ino
+        kept = ("st_mode", "st_uid", "st_gid")
+        assert [getattr(after, key) for key in kept] == [getattr(before, key) for key in kept]
+
+
+def test_a_file_that_is_a_mount_says_so_in_a_line(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).write_text(name)
+    script = (
+        "import sys; from pathlib import Path; from tacshade_edge.files.atomic_files import *\n"
+        "try:\n    with disk_errors(Path('.')): write_whole(Path('b'), b'c')\n"
+        "except Exception as error: print(type(error).__name__, error)"
+    )
+    inner = f'mount --bind a b && {shlex.quote(sys.executable)} -c "$0"'
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", inner, script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "DeviceError" not in done.stdout:
+        pytest.skip(f"no mounts here: {done.stderr}")
+    assert done.stdout == (
+        "DeviceError b: cannot write it: the file itself is a mount and cannot be replaced; mount "
+        "the folder that contains it instead\n"
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
-from tacshade_edge.errors import DecodeError
-from tacshade_edge.files.images import BYTES_MAX, read_image
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.files.images import BYTES_MAX, by_number, images_in, read_image
 
 PICTURE = np.random.default_rng(5).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 
@@ -129,3 +131,35 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(DecodeError, match=said):
             read_image(tmp_path / name)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 10**20), unique=True, min_size=1, max_size=12), st.data())
+def test_numbers_in_names_sort_as_numbers(numbers: list[int], data: st.DataObject) -> None:
+    width = data.draw(st.integers(1, 6))
+    before, after = data.draw(st.tuples(*2 * [st.sampled_from(["", "frame_", "a-b ", "2x_", "."])]))
+    names = [Path(f"x{before}{number:0{width}d}{after}.png") for number in sorted(numbers)]
+    assert sorted(data.draw(st.permutations(names)), key=by_number) == names
+
+
+@given(st.lists(st.text(min_size=1, max_size=9), max_size=9))
+def test_any_names_have_one_order(names: list[str]) -> None:
+    paths = [Path("a" + name.replace("/", "")) for name in names]
+    ordered = sorted(paths, key=by_number)
+    paths.reverse()
+    assert sorted(paths, key=by_number) == ordered
+
+
+def test_a_folder_gives_its_images_without_the_files_of_systems(tmp_path: Path) -> None:
+    for name in ("frame10.png", "frame2.PNG", "frame1.jpg"):
+        (tmp_path / name).touch()
+        (tmp_path / f"._{name}").touch()
+    for name in (".DS_Store", "Thumbs.db", ".hidden.png", "desktop.ini", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "__MACOSX").mkdir()
+    (tmp_path / "__MACOSX" / "._frame1.jpg").touch()
+    found = [path.name for path in images_in([tmp_path])]
+    assert found == ["frame1.jpg", "frame2.PNG", "frame10.png"]
+    assert images_in([tmp_path / ".hidden.png"]) == [tmp_path / ".hidden.png"]  # named, so meant
+    with pytest.raises(ConfigError, match="found no image, expected"):
+        images_in([tmp_path / "__MACOSX"])

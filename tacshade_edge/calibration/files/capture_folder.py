@@ -16,7 +16,7 @@ from tacshade_edge.calibration.files.press_table import (
 )
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, part, sync, write_whole
-from tacshade_edge.files.images import number_in, png, read_image
+from tacshade_edge.files.images import by_number, number_in, png, read_image
 from tacshade_edge.files.tables import csv_bytes
 from tacshade_edge.types import U8
 
@@ -62,7 +62,7 @@ class CaptureFolder:
     def references(self) -> list[U8]:
         """The reference images that were taken. Raises ConfigError."""
         try:
-            return [read_image(path) for path in sorted(self.path.glob(REFERENCES))]
+            return [read_image(path) for path in sorted(self.path.glob(REFERENCES), key=by_number)]
         except DecodeError as error:
             raise ConfigError(f"{error}; delete this image to take the references again") from None
 
@@ -78,11 +78,11 @@ class CaptureFolder:
 
     def rest_pictures(self) -> list[Path]:
         """The pictures of the untouched sensor, in order."""
-        return sorted(self.rest.glob("rest_*.png"))
+        return sorted(self.rest.glob("rest_*.png"), key=by_number)
 
     def touch_pictures(self) -> list[Path]:
         """The pictures of touches without a label, in order."""
-        return sorted(self.touches.glob("touch_*.png"))
+        return sorted(self.touches.glob("touch_*.png"), key=by_number)
 
     def picture(self, path: Path) -> U8:
         """One of these pictures. Raises ConfigError."""

@@ -4,11 +4,11 @@ the package `mcap` (extra ``mcap``) is imported only when needed.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.images import by_number, is_hidden
 from tacshade_edge.recording.frame_table import table_in
 from tacshade_edge.version import how_to_install
 
@@ -33,11 +33,12 @@ def mcap_files(path: Path) -> list[Path]:
     if table_in(path) is not None:
         return []
     # Recorders number their files: 1000.mcap comes after 999.mcap.
-    files = [file for file in path.iterdir() if file.name.lower().endswith(_SUFFIXES)]
-    return sorted(
-        files,
-        key=lambda file: [int(t) if t.isdecimal() else t for t in re.split(r"(\d+)", file.name)],
+    files = (
+        file
+        for file in path.iterdir()
+        if file.name.lower().endswith(_SUFFIXES) and not is_hidden(file)
     )
+    return sorted(files, key=by_number)
 
 
 def mcap_frames(path: Path) -> McapFrames:
