@@ -1,4 +1,4 @@
-"""Frames from image files, a video file or an MCAP file, at a steady pace."""
+"""Frames from image files, a video file or an MCAP file, at their own pace or a steady one."""
 
 from __future__ import annotations
 
@@ -6,28 +6,32 @@ import logging
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.recording.recording import Entry, Recording
 from tacshade_edge.types import Frame
 
 _log = logging.getLogger(__name__)
+# A stop does not wait longer for a frame, nor a person for what follows a pause.
+_GAP_MAX_NS: Final = 1_000_000_000
 
 
 class FilesSource:
     """A `FrameSource` for a folder of images, one image, a video file, or an MCAP file, in the
-    order of `Recording`, with its poses. A late reader gets the next frame at once, but never a
-    burst.
+    order of `Recording`, with its poses; at their own times unless `fps` is given. A late reader
+    gets the next frame at once, but never a burst.
     """
 
-    def __init__(self, *, path: Path, fps: float, loop: bool) -> None:
+    def __init__(self, *, path: Path, fps: float | None, loop: bool) -> None:
         self._path = path
-        self._fps, self._period_ns = fps, round(1e9 / fps)
+        self._fps = fps
         self._loop = loop
         self._seq = 0
         self._due_ns = 0
         self._size: tuple[int, int] | None = None
         self._recording: Recording | None = None
+        self._following: Entry | None = None
 
     @property
     def dropped(self) -> int:
@@ -39,7 +43,7 @@ class FilesSource:
         self._recording = Recording(self._path, times=0 if self._loop else 1, video_table=False)
         if self._recording.damage:
             _log.warning("%s", self._recording.damage)
-        self._due_ns = time.monotonic_ns()
+        self._following, self._due_ns = None, time.monotonic_ns()
 
     def read(self) -> Frame | None:
         """Wait until the next frame is due; None after the last.
@@ -71,7 +75,10 @@ class FilesSource:
 
     def _next_due(self) -> Entry | None:
         """Wait until the next picture is due; None after the last."""
-        if self._recording is None or (entry := self._recording.next_entry()) is None:
+        if (recording := self._recording) is None:
+            return None
+        entry = self._following or recording.next_entry()
+        if entry is None:
             return None
         late_ns = time.monotonic_ns() - self._due_ns
         if late_ns < 0:
@@ -80,7 +87,12 @@ class FilesSource:
             # The schedule moves with a late reader, whom frames that fell due meanwhile would
             # otherwise reach as a burst.
             self._due_ns += late_ns
-        self._due_ns += self._period_ns
+        self._following = recording.next_entry()
+        if (fps := self._fps or recording.fps) is not None:
+            self._due_ns += round(1e9 / fps)
+        elif self._following is not None:
+            gap_ns = self._following.row.t_ns - entry.row.t_ns
+            self._due_ns += min(max(gap_ns, 0), _GAP_MAX_NS)
         return entry
 
     def close(self) -> None:
@@ -89,7 +101,9 @@ class FilesSource:
 
     def describe(self) -> dict[str, str | int | float]:
         """The path, the frame rate, and the number of images if known."""
-        about: dict[str, str | int | float] = {"path": str(self._path), "fps": self._fps}
+        about: dict[str, str | int | float] = {"path": str(self._path)}
+        fps = self._fps or (self._recording.fps if self._recording else None)
+        about |= {"fps": fps} if fps else {}
         images = self._recording.images if self._recording else 0
         return about | ({"images": images} if images else {})
 

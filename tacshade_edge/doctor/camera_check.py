@@ -161,15 +161,15 @@ def check_frames(
     return (*findings, *_check_locks(captured), check_picture(captured.images[-1]))
 
 
-def check_other_source(captured: Captured, fps: float) -> Findings:
-    """Judge what a source other than a camera delivered: files or the simulated sensor."""
+def check_other_source(captured: Captured, fps: float | None) -> Findings:
+    """Judge what files, which without `fps` have their own times, or the simulated sensor gave."""
     if captured.error:
         return (
             fault("source", str(captured.error), "correct source.path or the files that it names"),
         )
     if not captured.images:
         return (fault("source", "delivered no image", "choose another source.path"),)
-    if len(captured.t_ns) < _RATE_FRAMES:
+    if len(captured.t_ns) < _RATE_FRAMES or fps is None:
         return (ok("source", f"{len(captured.t_ns)} frames"), check_picture(captured.images[-1]))
     return (check_rate("source", fps, captured, _BUSY_MACHINE), check_picture(captured.images[-1]))
 

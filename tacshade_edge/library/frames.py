@@ -21,6 +21,7 @@ from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.sensor import Sensor, load
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME
+from tacshade_edge.recording.video import DEFAULT_FPS
 from tacshade_edge.sensor.contact.tracking import ContactTracker
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
 from tacshade_edge.settings import Settings, V4l2
@@ -79,7 +80,8 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
             "such as /dev/video0"
         )
     rows, cols = sensor.image_size_px
-    return _Live(sources.make_source(settings.source, (cols, rows)), sensor, settings.source.fps)
+    fps = settings.source.fps or DEFAULT_FPS
+    return _Live(sources.make_source(settings.source, (cols, rows)), sensor, fps)
 
 
 def _of_settings(path: Path, sensor: Sensor | None) -> tuple[Settings, Sensor]:

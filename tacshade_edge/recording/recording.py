@@ -5,7 +5,6 @@ and drops none.
 from __future__ import annotations
 
 import itertools
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -13,27 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
-import numpy as np
-
-from tacshade_edge.errors import ConfigError
-from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX
+from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.images import SUFFIXES, images_in, read_image
 from tacshade_edge.quoting import encodable
 from tacshade_edge.recording.frame_table import FrameTable, TableRow, read_table, table_in
 from tacshade_edge.recording.mcap import is_mcap, mcap_frames
 from tacshade_edge.recording.recording_content import wall_minus_t_ns
+from tacshade_edge.recording.video import DEFAULT_FPS, Video
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.types import U8, Frame
 
-DEFAULT_FPS = 30.0
 Picture = Callable[[], U8]
 """Reads an image when its turn comes. Raises DecodeError."""
-
-# OpenCV passes this variable to FFmpeg; there is no other way. By default FFmpeg also opens
-# playlists, which can name any file or address.
-_FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-_FILES_ONLY = "protocol_whitelist;file|format_whitelist;avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +53,9 @@ class Recording:
 
     Raises ConfigError if there is nothing to replay, or the table is wrong.
 
-    `fps` is the frame rate of the time stamps without a table. Time stamps and numbers keep growing
-    in `times` passes (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote
+    `fps` is the frame rate of the time stamps without a table, instead of a video's own; the
+    attribute is None where the recording has its own times. Time stamps and numbers keep growing in
+    `times` passes (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote
     before is included. `damage` is of everything but images, for a person. `images` is the number
     of frames of one pass and `frames` that of all; 0 or None if unknown before the end.
     """
@@ -73,10 +64,10 @@ class Recording:
         self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True
     ) -> None:
         self._path = path
-        self._period_ns = 1e9 / (fps or DEFAULT_FPS)
         self._mcap = mcap_frames(path) if is_mcap(path) else None
         self._table = None if self._mcap else _table_beside(path, video_table=video_table)
         self._rows: FrameTable | None = None
+        self._video: Video | None = None
         self.cut_off, self.damage, self.images = False, "", 0
         if fps is not None and (stated := path if self._mcap else self._table) is not None:
             raise ConfigError(
@@ -90,7 +81,12 @@ class Recording:
             self._rows = read_table(self._table, cut_off=self.cut_off)
             self.damage, self.images = self._rows.damage, len(self._rows)
         else:
-            self.images = len(look_at(path)[0])
+            images, video = _look_at(path)
+            self.images = len(images)
+            self._video = video
+        has_times = self._mcap or self._table or (self._video and fps is None)
+        self.fps = None if has_times else fps or DEFAULT_FPS
+        self._period_ns = 1e9 / (self.fps or (self._video.fps if self._video else DEFAULT_FPS))
         # Only our own folders state it; a video's frames have no Unix time.
         self._wall_minus_t_ns = wall_minus_t_ns(path) if path.is_dir() else 0
         self.frames = self.images * times or None
@@ -167,28 +163,34 @@ class Recording:
                 (row, partial(read_image, named_file(self._path, row.image))) for row in self._rows
             )
             return
-        images, video = look_at(self._path)
-        for index, image in enumerate(images):
-            yield (
-                TableRow(image.name, round(index * self._period_ns), None),
-                partial(read_image, image),
-            )
+        images, video = _look_at(self._path)
+        for index, path in enumerate(images):
+            row = TableRow(path.name, round(index * self._period_ns), None)
+            yield row, partial(read_image, path)
         if video is None:
             return
-        index = 0
-        while (grabbed := video.read())[0]:
-            yield self._video_row(index), partial(np.asarray, grabbed[1], np.uint8)
+        index = t_ns = 0
+        frames = iter(video)
+        # The end of a cut file comes as a picture that cannot be read, as does damage elsewhere.
+        while (frame := _next_of(frames)) is not None:
+            if isinstance(frame, DecodeError):
+                yield TableRow(str(index), t_ns, None), partial(_raised, frame)
+                return
+            t_ns, image = frame
+            row = self._video_row(index, t_ns)
+            t_ns = row.t_ns
+            yield row, partial(_same, image)
             index += 1
-        video.release()
         if self._rows is not None and index < len(self._rows):
             raise ConfigError(
                 f"{self._table}: found {len(self._rows)} rows, expected {index}, "
                 "one per video frame"
             )
 
-    def _video_row(self, index: int) -> TableRow:
+    def _video_row(self, index: int, own_ns: int) -> TableRow:
         if self._rows is None:
-            return TableRow(str(index), round(index * self._period_ns), None)
+            t_ns = own_ns if self.fps is None else round(index * self._period_ns)
+            return TableRow(str(index), t_ns, None)
         row: TableRow | None = self._rows[index] if index < len(self._rows) else None
         if row is None or row.image != str(index):
             found = f"row {index + 1} is not that of frame {index}"
@@ -199,7 +201,7 @@ class Recording:
         return row
 
 
-def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
+def _look_at(path: Path) -> tuple[list[Path], Video | None]:
     """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
     if path.is_dir():
         return images_in([path]), None
@@ -209,25 +211,22 @@ def look_at(path: Path) -> tuple[list[Path], cv2.VideoCapture | None]:
         )
     if path.suffix.lower() in SUFFIXES:
         return [path], None
-    # Whatever the user's environment says; OpenCV reads it at each opening.
-    os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    width, height = (
-        int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-    )
-    # Before a frame is decoded: memory for the stated size is allocated then.
-    if video.isOpened() and (max(width, height) > SIDE_MAX_PX or width * height > PIXELS_MAX):
-        raise ConfigError(
-            f"{path}: found {width}x{height} px, expected at most {SIDE_MAX_PX} px per side"
-        )
-    # isOpened is also true for a file none of whose frames can be decoded.
-    if not video.isOpened() or not video.grab():
-        raise ConfigError(
-            f"{path}: found a file that OpenCV cannot read, "
-            "expected a video file or a folder of images"
-        )
-    # Opened again: winding back finds no frame in a video of one.
-    return [], cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    return [], Video(path)
+
+
+def _next_of(frames: Iterator[tuple[int, U8]]) -> tuple[int, U8] | DecodeError | None:
+    try:
+        return next(frames, None)
+    except DecodeError as error:
+        return error
+
+
+def _same(image: U8) -> U8:
+    return image
+
+
+def _raised(error: DecodeError) -> U8:
+    raise error
 
 
 def _table_beside(path: Path, *, video_table: bool) -> Path | None:

@@ -134,7 +134,15 @@ class Files(
         # An empty path would be the folder of the settings file.
         str, Meta(min_length=1, description="a folder of images, an image or a video file")
     ]
-    fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
+    fps: (
+        Annotated[
+            float,
+            Meta(
+                ge=1, le=240, description="frames per second, instead of the file's own times or 30"
+            ),
+        ]
+        | None
+    ) = None
     loop: Annotated[bool, Meta(description="begin again after the last image")] = False
 
 

@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--fps",
         "N",
-        "frame rate of a recording without time stamps (default: 30)",
+        "frame rate of images or a video (default: the video's own times; 30 for images)",
         POSITIVE,
     )
     add_option(

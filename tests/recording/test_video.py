@@ -1,0 +1,121 @@
+"""Videos: their own times at any rate, and what is said of one that ends early."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tacshade_edge.camera.file_source import FilesSource
+from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.recording.recording import RecordedFrame, Recording
+
+CONTAINERS = {"avi": "MJPG", "mp4": "mp4v", "mov": "mp4v", "mkv": "MJPG", "webm": "VP80"}
+# Matroska states milliseconds.
+ROUNDED_NS = {"mkv": 500_001, "webm": 500_001}
+_number = itertools.count()
+
+
+def written(folder: Path, container: str, fps: float, frames: int) -> Path:
+    path = folder / f"{next(_number)}.{container}"
+    code = cv2.VideoWriter_fourcc(*CONTAINERS[container])  # type: ignore[attr-defined]
+    video = cv2.VideoWriter(str(path), code, fps, (64, 48))
+    noise = np.random.default_rng(frames)
+    for _ in range(frames):
+        video.write(noise.integers(0, 255, (48, 64, 3)).astype(np.uint8))
+    video.release()
+    return path
+
+
+def read(recording: Recording) -> tuple[list[RecordedFrame], list[str]]:
+    frames, refused = list[RecordedFrame](), list[str]()
+    while True:
+        try:
+            if (frame := recording.read()) is None:
+                return frames, refused
+            frames.append(frame)
+        except DecodeError as error:
+            refused.append(str(error))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("videos")
+
+
+rates = st.sampled_from([1.0, 5.0, 23.976, 25.0, 29.97, 30.0, 50.0, 60.0, 120.0, 240.0])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(CONTAINERS)), rates, st.integers(1, 12))
+def test_a_frame_has_the_time_of_its_video(
+    folder: Path, container: str, fps: float, count: int
+) -> None:
+    path = written(folder, container, fps, count)
+    frames, refused = read(Recording(path))
+    assert refused == []
+    expected_ns = [k * 1e9 / fps for k in range(count)]
+    within_ns = ROUNDED_NS.get(container, 10_000)
+    assert [f.frame.t_ns for f in frames] == pytest.approx(expected_ns, abs=within_ns)
+    # Another rate overrules it.
+    frames, _ = read(Recording(path, fps=10))
+    assert [f.frame.t_ns for f in frames] == [k * 100_000_000 for k in range(count)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(sorted(CONTAINERS)), rates, st.floats(0.02, 0.999))
+def test_a_video_that_ends_early_says_so(
+    folder: Path, container: str, fps: float, part: float
+) -> None:
+    path = written(folder, container, fps, 12)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * part)])
+    try:
+        recording = Recording(path)
+    except ConfigError:
+        return  # not even a first frame
+    frames, refused = read(recording)
+    assert len(frames) <= 12
+    if len(frames) < 12:
+        assert refused == [
+            f"{path}: the video ends after {len(frames)} of 12 frames, expected the whole file; "
+            "its writer or its copy was cut off"
+        ]
+
+
+def test_a_video_without_its_index_says_what_is_missing(folder: Path) -> None:
+    path = written(folder, "mp4", 30, 12)
+    path.write_bytes(path.read_bytes()[:-700])
+    with pytest.raises(ConfigError, match=r"without its index \(moov\), .* cut off; expected"):
+        Recording(path)
+
+
+@pytest.mark.parametrize("container", sorted(CONTAINERS))
+def test_a_video_in_place_of_a_camera_keeps_its_pace(folder: Path, container: str) -> None:
+    path = written(folder, container, 50, 5)
+    for fps, period_ns in ((None, 20_000_000), (100.0, 10_000_000)):
+        source = FilesSource(path=path, fps=fps, loop=True)
+        source.open()
+        times_ns = [frame.t_ns for _ in range(7) if (frame := source.read())]
+        source.close()
+        assert len(times_ns) == 7
+        assert 6 * period_ns - 15_000_000 < times_ns[-1] - times_ns[0] < 6 * period_ns + 400_000_000
+
+
+def test_a_table_keeps_its_pace_too(tmp_path: Path) -> None:
+    for k in range(2):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((48, 64), np.uint8))
+    header = "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"
+    times = "0.png,5,,,,,,,\n1.png,150000005,,,,,,,\n"
+    (tmp_path / "frames.csv").write_text(header + times)
+    source = FilesSource(path=tmp_path, fps=None, loop=False)
+    source.open()
+    first, second = source.read(), source.read()
+    assert first is not None
+    assert second is not None
+    assert second.t_ns - first.t_ns > 145_000_000
