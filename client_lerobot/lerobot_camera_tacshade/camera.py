@@ -152,7 +152,7 @@ class TacShadeCamera(Camera):
         return self._depth_m
 
     def read_latest_tactile(self, max_age_ms: int = 500) -> F32:
-        """The numbers `TACTILE` of the newest picture, float32, 0 where unknown.
+        """The numbers `TACTILE` of the newest picture, float32, NaN where unknown.
 
         Raises like `read_latest`.
         """

@@ -27,7 +27,8 @@ TACTILE: Final = (
 the volume is a measure of load.
 
 While something touches whose depth is unknown, ``contact`` is 1 too,
-and the picture is that of an untouched skin.
+and the picture is that of an untouched skin. What is unknown of a touch is NaN; without one, all
+are 0.
 """
 REACH: Final = 1.02
 """Half the picture's side in radii of the visible circle,
@@ -69,9 +70,7 @@ class Pictures:
                 picture = self._picture(contact)
                 self.passed_over += picture is None
                 if picture is not None:
-                    numbers = {name: getattr(contact, name) or 0.0 for name in TACTILE}
-                    numbers["contact"] = float(contact.contact or contact.touched)
-                    self.tactile = np.array(list(numbers.values()), np.float32)
+                    self.tactile = _tactile(contact)
                 return picture
         return None
 
@@ -98,6 +97,15 @@ class Pictures:
         outside = np.isnan(_untouched(geometry, self._size_px))
         self.height_mm = np.where(outside, np.float32(np.nan), height.height_mm[cells])
         return to_rgb(self.height_mm, shear_mm)
+
+
+def _tactile(contact: Contact) -> F32:
+    """The `TACTILE` of a frame that could be used."""
+    touches = bool(contact.contact or contact.touched)
+    # 0 would be a value: of a free skin it is the right one, of a touched one it is not.
+    missing = np.nan if touches else 0.0
+    values = {name: getattr(contact, name) for name in TACTILE} | {"contact": float(touches)}
+    return np.array([missing if v is None else v for v in values.values()], np.float32)
 
 
 def tactile_feature() -> dict[str, Any]:

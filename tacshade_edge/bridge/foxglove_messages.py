@@ -82,8 +82,12 @@ def timestamp(wall_ns: int) -> Timestamp:
 
 
 def image(message: HeightMessage, sensor_id: str) -> RawImage:
-    """The height map as a ``32FC1`` image: h in mm at each cell, NaN outside the disc."""
+    """The height map as a ``32FC1`` image: h in mm at each cell, NaN outside the disc, and
+    everywhere in a frame that could not be used.
+    """
     rows, cols = message.height_mm.shape
+    # The 0 in the message is marked as unknown by a flag, which an image lacks.
+    known_mm = np.full_like(message.height_mm, np.nan) if message.invalid else message.height_mm
     return RawImage(
         timestamp=timestamp(message.wall_ns),
         frame_id=frame_name(sensor_id, "sensor"),
@@ -91,7 +95,7 @@ def image(message: HeightMessage, sensor_id: str) -> RawImage:
         height=rows,
         encoding="32FC1",
         step=4 * cols,
-        data=message.height_mm.astype("<f4", copy=False).tobytes(),
+        data=known_mm.astype("<f4", copy=False).tobytes(),
     )
 
 

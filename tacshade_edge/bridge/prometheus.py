@@ -41,6 +41,8 @@ class _Sensor:
     state: State | Literal[""] = ""
     health: Health | None = None
     heard_s: float = float("-inf")
+    framed_s: float = float("-inf")
+    """When the number of captured frames was last heard to have changed."""
     has_health: bool = False
 
 
@@ -93,6 +95,7 @@ class SensorMetrics:
                 for name, sensor in sensors
                 if sensor.health and self._is_alive(sensor)
             }
+            framed = {name for name, one in sensors if self._clock_s() - one.framed_s <= FRESH_S}
         up = GaugeMetricFamily(
             "tacshade_up",
             "1 while the daemon is running and publishing its health; absent once it has stopped",
@@ -119,6 +122,9 @@ class SensorMetrics:
         for kind, name, text, labels, samples in _OF_HEALTH:
             family = kind(f"tacshade_{name}", text, labels=["sensor", *labels])
             for sensor_id, health in fresh.items():
+                # Without frames, what the last ones were like is not how they are.
+                if name in _OF_LATEST_FRAMES and sensor_id not in framed:
+                    continue
                 for values, number in samples(health).items():
                     family.add_metric([sensor_id, *values], number)
             yield family
@@ -135,6 +141,9 @@ class SensorMetrics:
         sensor.state = state or sensor.state
         sensor.has_health |= health is not None
         if health is not None and not retained:
+            known = sensor.health
+            if known is None or known.frames.get("captured") != health.frames.get("captured"):
+                sensor.framed_s = self._clock_s()
             sensor.health, sensor.heard_s = health, self._clock_s()
 
     def _is_alive(self, sensor: _Sensor) -> bool:
@@ -208,6 +217,7 @@ def _counts(counted: Mapping[str, float], but: tuple[str, ...] = ()) -> Samples:
 _Family = type[CounterMetricFamily] | type[GaugeMetricFamily]
 _GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
 _NO_OUTCOMES: Final = ("waiting", "pre_roll")
+_OF_LATEST_FRAMES: Final = ("latency_seconds", "stage_seconds", "reason")
 # `captured` is left out of the frames' outcomes, as it is their sum;
 # `pending` may fall, so it is a gauge.
 _OF_HEALTH: Final[

@@ -72,7 +72,7 @@ class Result:
     objects : tuple of TouchedObject
         The objects in the order of their labels, largest first.
     volume_mm3 : float
-        Volume displaced under the contacts.
+        Volume displaced under the contacts; NaN if the frame is invalid or `touched`.
     touch, touch_sigma : mapping of str to float or None
         The touch as a few numbers, each in the unit of its name, and the standard deviation of
         each; a value is None if the model does not know it. Both mappings are None without contact
@@ -192,7 +192,7 @@ def result_of(
         points_mm=cloud.points_mm,
         labels=cloud.labels,
         objects=made.objects,
-        volume_mm3=made.volume_mm3,
+        volume_mm3=made.volume_mm3 if made.valid and not made.touched else math.nan,
         touch=None if touch is None else touch.values,
         touch_sigma=None if touch is None else touch.sigma,
         touch_reason=text_of(touch_reason),

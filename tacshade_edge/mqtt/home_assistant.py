@@ -20,12 +20,21 @@ _ENTITIES: Final = {
     "profile": "select",
     "rezero": "button",
 }
-# Home Assistant takes None for unknown. A touch without a depth is on:
-# whoever waits for a touch must not miss one.
+# Home Assistant takes None for unknown, as it is while frames are unusable. A touch without a depth
+# is on: whoever waits for a touch must not miss one.
 _DEPTH_TEMPLATE: Final = (
     "{{ None if value_json.depth_max_mm is none else value_json.depth_max_mm | round(1) }}"
 )
-_CONTACT_TEMPLATE: Final = "{{ 'ON' if value_json.contact or value_json.touched else 'OFF' }}"
+_CONTACT_TEMPLATE: Final = (
+    "{{ None if value_json.contact is none"
+    " else 'ON' if value_json.contact or value_json.touched else 'OFF' }}"
+)
+# `contact` comes at least once a second; an older value is none of now.
+_EXPIRE_S: Final = 5
+_RUNS_TEMPLATE: Final = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
+_STREAMS_TEMPLATE: Final = "{{ 'online' if value_json.state == 'streaming' else 'offline' }}"
+# What a frame says, which is unknown without usable frames, while the daemon runs.
+_OF_FRAMES: Final = ("depth", "contact", "touches")
 
 
 def discovery_topics(sensor_id: str) -> tuple[str, ...]:
@@ -47,11 +56,13 @@ def _entities(base: str, profiles: Sequence[str]) -> dict[str, dict[str, Any]]:
             "device_class": "distance",
             "state_class": "measurement",
             "suggested_display_precision": 1,
+            "expire_after": _EXPIRE_S,
         },
         "contact": {
             "name": "Contact",
             "state_topic": f"{base}/contact",
             "value_template": _CONTACT_TEMPLATE,
+            "expire_after": _EXPIRE_S,
         },
         "touches": {
             "name": "Touches",
@@ -88,7 +99,8 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
     from the previous one.
     """
     base = f"tacshade/{sensor_id}"
-    online = "{{ 'online' if value in ('online', 'degraded') else 'offline' }}"
+    runs = {"topic": f"{base}/state", "value_template": _RUNS_TEMPLATE}
+    streams = {"topic": f"{base}/status/camera", "value_template": _STREAMS_TEMPLATE}
     device = {
         "identifiers": [f"tacshade_{sensor_id}"],
         "name": f"TacShade {sensor_id}",
@@ -97,12 +109,17 @@ def encode_discovery(sensor_id: str, *, version: str, profiles: Sequence[str]) -
     common = {
         "device": {**device, "sw_version": version},
         "origin": {"name": "tacshade-edge", "sw_version": version},
-        "availability": [{"topic": f"{base}/state", "value_template": online}],
+        "availability_mode": "all",
     }
     entities = _entities(base, profiles)
     return {
         topic: msgspec.json.encode(
-            {**entities[name], "unique_id": f"tacshade_{sensor_id}_{name}", **common}
+            {
+                **entities[name],
+                "unique_id": f"tacshade_{sensor_id}_{name}",
+                "availability": [runs, streams] if name in _OF_FRAMES else [runs],
+                **common,
+            }
         )
         for topic, name in zip(discovery_topics(sensor_id), _ENTITIES, strict=True)
     }

@@ -14,7 +14,7 @@ import numpy as np
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.pipeline.ledger import Counts, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
-from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
+from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary, messages
@@ -42,8 +42,9 @@ class Publisher(FrameObserver):
     always_shear: bool = False
     fps: float = 0.0
     _sliding: frozenset[int | None] = frozenset()
-    # Contact and touched, of the latest frame.
+    # Contact and touched, of the latest frame, and whether it could be used.
     _state: tuple[bool, bool] = (False, False)
+    _valid: bool = True
     _has_touch: bool = False
     _contact_sent_ns: int | None = None
 
@@ -66,6 +67,8 @@ class Publisher(FrameObserver):
             return
         changed = (result.contact, result.touched) != self._state
         self._state = result.contact, result.touched
+        # What was known no longer is, or is again.
+        known_anew, self._valid = result.valid != self._valid, result.valid
         # All are encoded first, and handed over last:
         # the link's thread then does not take turns with this one.
         payloads: list[tuple[str, bytes]] = []
@@ -84,17 +87,18 @@ class Publisher(FrameObserver):
         ):
             if grid is not None and (result.contact or changed) and self.has_listener(stream):
                 payloads.append((stream, encode(result, **taken)))
-        touch_ended = result.touch is None and not result.contact and (changed or self._has_touch)
+        touch_ended = (
+            result.touch is None
+            and not result.contact
+            and (changed or known_anew or self._has_touch)
+        )
         self._has_touch = result.touch is not None
         if (self._has_touch or touch_ended) and self.has_listener("touch"):
             payloads.append(("touch", messages.encode_touch(result)))
-        # An event for each object that begins to slide, not for each frame in which it does.
-        sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
-        for began in sliding.keys() - self._sliding:
-            self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
-        self._sliding = frozenset(sliding)
+        self._report_slips(result)
         sent_ns = self._contact_sent_ns
-        due = result.contact or sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
+        waited = sent_ns is None or result.t_ns - sent_ns >= CONTACT_PERIOD_NS
+        due = result.contact or known_anew or waited
         if changed or (due and self.has_listener("contact")):
             self._contact_sent_ns = result.t_ns
             payloads.append(("contact", messages.encode_contact(result, fps=self.fps)))
@@ -104,6 +108,15 @@ class Publisher(FrameObserver):
             self.settle(result.seq, "unasked" if result.contact else without)
         for stream, payload in payloads:
             self.offer(stream, payload, result.seq)
+
+    def _report_slips(self, result: Reconstruction) -> None:
+        """Publish an event for each object that begins to slide, not for each frame in which it
+        does.
+        """
+        sliding = {o.id: o for o in result.objects if o.slip is Slip.FULL}
+        for began in sliding.keys() - self._sliding:
+            self.publish_event("event/slip", messages.encode_slip(result, sliding[began]))
+        self._sliding = frozenset(sliding)
 
 
 # A shorter gap does not end a contact: single frames may miss a light touch.
@@ -141,7 +154,7 @@ class ContactEvents(FrameObserver):
             if new or frame.t_ns - self._sent_ns >= UPDATE_PERIOD_NS:
                 self._send("new" if new else "update", frame)
         elif self._start_ns is not None and frame.t_ns - self._touched_ns >= BRIDGED_NS:
-            self._send("end", frame, end_ns=self._touched_ns)
+            self._send("end", frame, end_ns=self._touched_ns, ended_by=result)
             self._start_ns = None
 
     def _unmeasured_lasts(self, t_ns: int, *, touched: bool) -> bool:
@@ -154,7 +167,11 @@ class ContactEvents(FrameObserver):
         return self._start_ns is not None or t_ns - self._unmeasured_ns >= BRIDGED_NS
 
     def _send(
-        self, type_: Literal["new", "update", "end"], frame: Frame, end_ns: int | None = None
+        self,
+        type_: Literal["new", "update", "end"],
+        frame: Frame,
+        end_ns: int | None = None,
+        ended_by: Reconstruction | None = None,
     ) -> None:
         self._sent_ns = frame.t_ns
         values = {
@@ -162,6 +179,7 @@ class ContactEvents(FrameObserver):
             "t_ns": frame.t_ns,
             "wall_ns": frame.wall_ns,
             "start_ns": self._start_ns,
+            "reason_code": code_of(None if ended_by is None else ended_by.reason),
         }
         event = ContactEvent(type=type_, id=self._count, end_ns=end_ns, **values)
         self._publish_event("event/contact", encode_json(event))

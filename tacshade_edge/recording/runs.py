@@ -184,17 +184,20 @@ def payloads(folder: Path, name: str) -> Iterator[bytes]:
 
 
 def summary(result: Reconstruction) -> dict[str, Any]:
-    """A reconstruction's values except the arrays, with lengths rounded to 0.1 µm."""
+    """A reconstruction's values except the arrays, with lengths rounded to 0.1 µm; None where the
+    frame does not say.
+    """
+    known = result.valid and not result.touched
     return {
         "profile": result.profile,
         "valid": result.valid,
         **reason_fields(result.reason),
-        "contact": result.contact,
-        "touched": result.touched,
+        "contact": result.contact if result.valid else None,
+        "touched": result.touched if result.valid else None,
         "saturated": result.saturated,
         **reason_fields(result.degraded, "degraded"),
-        "depth_max_mm": None if result.touched else _rounded(result.depth_max_mm),
-        "volume_mm3": None if result.touched else _rounded(result.volume_mm3),
+        "depth_max_mm": _rounded(result.depth_max_mm) if known else None,
+        "volume_mm3": _rounded(result.volume_mm3) if known else None,
         "repaired_px": result.repaired_px,
         "shear_mm": _rounded(result.shear_of_contact_mm),
         **touch_fields(result.touch),

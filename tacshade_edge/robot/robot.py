@@ -19,7 +19,13 @@ from typing import Any, Final
 
 import msgspec
 
-from tacshade_edge.pipeline.observer import SERIAL_STOPPED_S, FrameObserver, FrameResult, Reply
+from tacshade_edge.pipeline.observer import (
+    SERIAL_STOPPED_S,
+    FrameObserver,
+    FrameResult,
+    Reply,
+    SourceState,
+)
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot_motion import (
@@ -246,6 +252,10 @@ class Robot(FrameObserver):
         if seen.reconstruction is not None:
             self.commands.observe(seen.frame, seen.reconstruction)
             self._touch.observe(seen.reconstruction)
+
+    def source_changed(self, source: SourceState) -> None:
+        if source.reason:
+            self._touch.lost()
 
     def with_interpolated_pose(self, frame: Frame) -> Frame:
         """Wait for the pose after the frame, and add the pose interpolated between it and the one

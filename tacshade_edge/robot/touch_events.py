@@ -13,6 +13,8 @@ from tacshade_edge.wire.results import TouchSwitched
 # Of a period: a frame that is this much early counts as on time. Otherwise a camera whose rate is
 # the requested one would, by the jitter of its time stamps, miss every other event.
 _JITTER = 0.25
+# Single unusable frames do not part the robot from what it knows.
+_BRIDGED_NS = 100_000_000
 
 
 class TouchEvents:
@@ -27,6 +29,10 @@ class TouchEvents:
         self._asked: TouchAsked | None = None
         self._waiting: TouchSeen | None = None
         self._touches = False
+        self._known = True
+        self._unusable_ns: int | None = None
+        # Number and time of the latest frame since the request.
+        self._latest: tuple[int, int] | None = None
         self._due_ns = 0
         self._events = self._dropped = 0
 
@@ -40,20 +46,29 @@ class TouchEvents:
             return reason
         with self._lock:
             self._asked, self._waiting, self._touches, self._due_ns = asked, None, False, 0
+            self._known, self._unusable_ns, self._latest = True, None, None
         return TouchSwitched(asked.rate_hz if asked else 0)
 
     def observe(self, result: Reconstruction) -> None:
-        """Keep a frame's touch for the port if it is due; an invalid frame changes nothing."""
-        # Without the lock: most robots never ask, and `_due` looks again inside it.
-        if self._asked is None or not result.valid:
+        """Keep a frame's touch for the port if it is due; of unusable frames, that there are."""
+        # Without the lock: most robots never ask, and it is looked at again inside.
+        if self._asked is None:
             return
         with self._lock:
-            if (seen := self._due(self._asked, result)) is None:
-                return
-            self._dropped += self._waiting is not None
-            self._waiting = seen
+            self._latest = result.seq, result.t_ns
+            seen = self._due(self._asked, result) if result.valid else self._unusable(result.t_ns)
+            self._keep(seen)
         # After the lock is released: the serial thread that this wakes takes it at once.
-        self._wake()
+        if seen is not None:
+            self._wake()
+
+    def lost(self) -> None:
+        """Note that no usable frames come: what the robot last heard no longer holds."""
+        with self._lock:
+            seen = self._unknown()
+            self._keep(seen)
+        if seen is not None:
+            self._wake()
 
     def take(self) -> TouchSeen | None:
         with self._lock:
@@ -64,9 +79,30 @@ class TouchEvents:
     def as_dict(self) -> dict[str, int]:
         return {"touch_events": self._events, "touch_dropped": self._dropped}
 
+    def _keep(self, seen: TouchSeen | None) -> None:
+        if seen is not None:
+            self._dropped += self._waiting is not None
+            self._waiting = seen
+
+    def _unusable(self, t_ns: int) -> TouchSeen | None:
+        """The event of unusable frames that have lasted; None for the others."""
+        if self._unusable_ns is None:
+            self._unusable_ns = t_ns
+        return self._unknown() if t_ns - self._unusable_ns >= _BRIDGED_NS else None
+
+    def _unknown(self) -> TouchSeen | None:
+        """The event that nobody knows what touches; None if it has been sent."""
+        if self._asked is None or self._latest is None or not self._known:
+            return None
+        # The next usable frame sends an event, even if nothing touches in it.
+        self._known, self._touches, self._due_ns = False, True, 0
+        values = tuple((name, None) for name in self._asked.names)
+        return TouchSeen(*self._latest, contact=False, values=values, valid=False)
+
     def _due(self, asked: TouchAsked | None, result: Reconstruction) -> TouchSeen | None:
         if asked is None:
             return None
+        self._known, self._unusable_ns = True, None
         if result.touch is None and not result.touched:
             if result.contact:
                 return None  # the frame was begun before the request

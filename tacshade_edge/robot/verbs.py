@@ -74,12 +74,15 @@ class TouchSeen:
     contact: bool  # False once, when the contact ends, and where only a learnt model sees a touch
     values: tuple[tuple[str, float | None], ...]
     touched: bool = False  # something touches, but its depth is unknown; `contact` is then False
+    valid: bool = True  # False: nobody knows what touches, since no frame can be used
 
     def text(self) -> str:
-        """The event that reports it: ``touched=1`` for an unknown depth,
-        else ``contact=0`` without contact.
+        """The event that reports it: ``invalid=1`` if no frame can be used, ``touched=1`` for an
+        unknown depth, else ``contact=0`` without contact.
         """
         state = " touched=1" if self.touched else "" if self.contact else " contact=0"
+        if not self.valid:
+            state = " invalid=1"
         return f"TOUCH {self.seq} {self.t_ns}{state}" + "".join(
             f" {name}={_value_text(v)}" for name, v in self.values
         )

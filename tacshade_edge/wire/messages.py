@@ -48,17 +48,17 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
     slips = [(o.slip, o.slip_mm_s or 0.0) for o in result.objects if o.slip is not None]
     # By slip first, then by speed: the pair is of one object.
     slip, slip_mm_s = max(slips, default=(None, None))
-    # A 0 would say that nothing is pressed in, which nobody knows.
-    known = not result.touched
+    # A 0 would say that nothing is pressed in, or touches, which nobody knows.
+    known = result.valid and not result.touched
     return encode_json(
         Contact(
             t_ns=result.t_ns,
             seq=result.seq,
-            contact=int(result.contact),
+            contact=int(result.contact) if result.valid else None,
             depth_max_mm=result.depth_max_mm if known else None,
             area_mm2=sum((o.area_mm2 for o in result.objects), 0.0) if known else None,
             volume_mm3=result.volume_mm3 if known else None,
-            objects=len(result.objects),
+            objects=len(result.objects) if result.valid else None,
             x_mm=x_mm,
             y_mm=y_mm,
             shear_x_mm=shear_x_mm,
@@ -74,7 +74,7 @@ def encode_contact(result: Reconstruction, *, fps: float) -> bytes:
             reason_code=code_of(result.reason),
             degraded_code=code_of(result.degraded),
             wall_ns=result.wall_ns,
-            touched=int(result.touched),
+            touched=int(result.touched) if result.valid else None,
         )
     )
 

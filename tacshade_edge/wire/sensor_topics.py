@@ -100,19 +100,20 @@ class Contact:
 
     `contact` is 0 or 1, `objects` the number of objects, `area_mm2` their total area; `x_mm` and
     `y_mm` are the centroid of the largest object. `touched` is 1 if something touches but its depth
-    is unknown: `contact` is then 0, and depth, area and volume are None. Shear, twist and slip (0
-    stick, 1 partial, 2 full) each come from the object with the largest value. `fps` is the
-    delivery rate in 1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's monotonic clock
+    is unknown: `contact` is then 0, and depth, area and volume are None. In an unusable frame, with
+    a `reason_code`, `contact` and all of these are None. Shear, twist and slip (0 stick, 1
+    partial, 2 full) each come from the object with the largest value. `fps` is the delivery rate in
+    1/s. `t_ns` and `wall_ns` are the capture time, on the daemon's monotonic clock
     and in Unix time.
     """
 
     t_ns: Count
     seq: Count
-    contact: Annotated[int, Meta(ge=0, le=1)]
+    contact: Annotated[int, Meta(ge=0, le=1)] | None
     depth_max_mm: Number | None = None
     area_mm2: Rate | None = None
     volume_mm3: Rate | None = None
-    objects: Count = 0
+    objects: Count | None = 0
     x_mm: Number | None = None
     y_mm: Number | None = None
     shear_x_mm: Number | None = None
@@ -125,7 +126,7 @@ class Contact:
     degraded_code: Code = ""
     wall_ns: Count = 0
     # Last and with a default, because older daemons do not send it.
-    touched: Annotated[int, Meta(ge=0, le=1)] = 0
+    touched: Annotated[int, Meta(ge=0, le=1)] | None = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,7 +185,8 @@ class ContactEvent:
     once a second) or has ended.
 
     The values are the greatest since `start_ns`: of depth, volume, length of the mean shear, slip
-    and number of objects. They are None while none is known.
+    and number of objects. They are None while none is known. `reason_code` says why the frames that
+    ended the contact could not be used; it is empty if they showed that nothing touches.
     """
 
     type: Literal["new", "update", "end"]
@@ -198,6 +200,8 @@ class ContactEvent:
     shear_mm: Rate | None = None
     slip: SlipCode | None = None
     objects: Count | None = None
+    # With a default, because older daemons do not send it.
+    reason_code: Code = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,7 +32,7 @@ HALF_STEP_MM = 0.0125 + 1e-6
 
 def lerobot() -> None:
     """What the plugin imports of LeRobot, if that is absent."""
-    if find_spec("lerobot") is not None:
+    if "lerobot" in sys.modules or find_spec("lerobot") is not None:
         return
     for name in (
         "lerobot",
@@ -161,7 +161,8 @@ def test_a_touch_of_unknown_depth_is_flat_but_a_contact() -> None:
     lost = messages.encode_contact(unmeasured(2), fps=60.0)
     np.testing.assert_array_equal(made.add(message("contact", lost)), untouched)
     known = dict(zip(pictures.TACTILE, made.tactile.tolist(), strict=True))
-    assert (known["contact"], known["depth_max_mm"]) == (1, 0)
+    assert known.pop("contact") == 1
+    assert np.isnan(list(known.values())).all()
     assert made.passed_over == 0
 
 

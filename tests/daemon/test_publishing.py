@@ -159,17 +159,14 @@ def test_a_touch_goes_out_while_it_has_a_subscriber_and_once_more_at_release(
 ) -> None:
     images = [pictures.free, pictures.touched, pictures.touched, pictures.black, pictures.free]
     played = Played(calibration, images, ("touch",))
-    assert played.seqs("touch") == [1, 2, 3]
-    first, _, released = [
+    assert played.seqs("touch") == [1, 2, 3, 4]
+    first, _, unknown, released = [
         json.loads(payload) for stream, payload, _ in played.offers if stream == "touch"
     ]
     assert first["touch"]["depth_mm"] == pytest.approx(touched_depth_mm(), abs=0.001)
     assert first["touch"].keys() == first["touch_sigma"].keys()
-    assert (released["touch"], released["touch_sigma"], released["reason_code"]) == (
-        None,
-        None,
-        "black",
-    )
+    ends = [(n["touch"], n["touch_sigma"], n["reason_code"]) for n in (unknown, released)]
+    assert ends == [(None, None, "black"), (None, None, "")]
     assert Played(calibration, images, ("height", "shear")).seqs("touch") == []
 
 

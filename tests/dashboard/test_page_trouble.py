@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,8 @@ from support.shown_page import (
     until_shown,
 )
 
-from tacshade_edge.wire import binary
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import Broker, Subscriber, certificate
 from tools.testbed.patience import wait_until
 
@@ -81,6 +83,24 @@ def test_strange_messages_are_counted_and_shown_as_text(
     shows(page, "tables", "61.5")
     until_shown(page, sensor, lambda: bump(3, 1.0, 200, 300, step_px=4), 3)
     assert page.title == "drawn – TacShade"
+
+
+def test_what_touches_is_unknown_while_frames_are_unusable(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+    shows(page, "n-contact", "1 object")
+    torn = Reason(ReasonCode.TORN, "torn")
+    unusable = replace(bump(2, 0.0, 0, 0, step_px=4), valid=False, reason=torn)
+    # Without its height, which may be lost.
+    sensor.publish("contact", messages.encode_contact(unusable, fps=5.0))
+    shows(page, "flags", "frame unusable")
+    wait_until(lambda: text(page, "n-contact") == "", 10, "unknown")
+    assert text(page, "n-depth") == ""
+    assert not page.find_element(By.ID, "free").is_displayed()
+    sensor.publish("contact", messages.encode_contact(bump(3, 0.0, 0, 0, step_px=4), fps=5.0))
+    shows(page, "n-contact", "none")
 
 
 def test_a_broker_with_users_asks_for_one(page: Chrome, tmp_path: Path) -> None:

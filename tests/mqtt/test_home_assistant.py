@@ -14,7 +14,7 @@ from tacshade_edge.types import Reconstruction
 from tacshade_edge.wire import messages
 
 ANNOUNCED = encode_discovery("left-index", version="0.1.0", profiles=tuple(PROFILES))
-COMMON = {"name", "unique_id", "device", "origin", "availability"}
+COMMON = {"name", "unique_id", "device", "origin", "availability", "availability_mode"}
 KINDS: dict[
     str, tuple[set[str], set[str]]
 ] = {  # keys that a component needs, and may have: others it leaves out
@@ -26,9 +26,10 @@ KINDS: dict[
             "device_class",
             "state_class",
             "suggested_display_precision",
+            "expire_after",
         },
     ),
-    "binary_sensor": ({"state_topic", "value_template"}, set()),
+    "binary_sensor": ({"state_topic", "value_template"}, {"expire_after"}),
     "event": ({"state_topic", "event_types"}, {"value_template", "qos"}),
     "select": (
         {"command_topic", "command_template", "state_topic", "value_template", "options", "qos"},
@@ -51,11 +52,10 @@ def test_it_is_as_the_documentation_says(topic: str) -> None:
     assert entity.get("options", offered) == offered
     assert set(entity["device"]) == {"identifiers", "name", "model", "sw_version"}
     assert set(entity["origin"]) == {"name", "sw_version"}
-    (availability,) = entity["availability"]
-    assert (set(availability), availability["topic"]) == (
-        {"topic", "value_template"},
-        "tacshade/left-index/state",
-    )
+    needed = ["state", "status/camera"] if name in ("depth", "contact", "touches") else ["state"]
+    topics = [f"tacshade/left-index/{each}" for each in needed]
+    assert [each["topic"] for each in entity["availability"]] == topics
+    assert all(set(each) == {"topic", "value_template"} for each in entity["availability"])
     topics = [value for key, value in entity.items() if key.endswith("_topic")]
     assert all(re.fullmatch(r"tacshade/left-index/[a-z_/]+", one) for one in topics)
 

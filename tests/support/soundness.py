@@ -104,6 +104,8 @@ def _assert_wire(result: Reconstruction) -> None:
     nothing = {key for key, value in said.items() if value is None}
     sheared = result.contact and result.shear_mm is not None
     expected = {"slip", "slip_mm_s"} | (set() if result.contact else {"x_mm", "y_mm"})
+    if not result.valid:
+        expected |= {"contact", "touched", "objects", "depth_max_mm", "area_mm2", "volume_mm3"}
     assert nothing - {"twist_deg"} == expected | (
         set() if sheared else {"shear_x_mm", "shear_y_mm"}
     )

@@ -11,7 +11,7 @@ import { Link } from "./link.js";
 import { showContacts, withEvent } from "./lived.js";
 import { MapView } from "./mapview.js";
 import { drawArrows } from "./marks.js";
-import { CONTACT, TOUCHED, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
+import { CONTACT, INVALID, TOUCHED, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
 import { counted, element, levelOf, number, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
@@ -24,7 +24,7 @@ import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
 
-const INVALID = 2, SATURATED = 4, DEGRADED = 8;
+const SATURATED = 4, DEGRADED = 8;
 const FULL_SLIP = 2;
 const UNLISTED = "paper"; // far slower and less exact: a study's baseline, still chosen by request
 const WHOLE = "#hand/"; // in an address, before the hand's id
@@ -333,7 +333,7 @@ function draw() {
 
 /** What the map says while it shows no contact. The numbers continue after the last map, so they come first. */
 function showFree(flags, numbers) {
-  const free = (flags & (CONTACT | INVALID)) === 0, touched = free && (numbers ? numbers.touched === 1 : (flags & TOUCHED) !== 0);
+  const free = (flags & (CONTACT | INVALID)) === 0 && numbers?.contact !== null, touched = free && (numbers ? numbers.touched === 1 : (flags & TOUCHED) !== 0);
   $("free").hidden = !free;
   $("free").textContent = touched ? UNMEASURED : "nothing touches";
   $("map").classList.toggle("is-touched", touched);

@@ -2,7 +2,7 @@
 
 import { zeroMap } from "./geometry.js";
 
-export const CONTACT = 1, TOUCHED = 32;
+export const CONTACT = 1, INVALID = 2, TOUCHED = 32;
 const RELEASE_LOST_MS = 500, MESSAGES_KEPT = 64, HEADER_BYTES = 96, SEQ_AT = 8;
 export const VALUES = { height: "height_mm", cloud: "points_mm", shear: "shear_mm", sigma: "sigma_mm" };
 
@@ -45,7 +45,7 @@ export function keepContact(view, contact) {
 export function contactOfMap(view) {
   const { map, contact } = view;
   if (!map || contact === null) return contact;
-  const free = contact.contact === 0 && !(map.flags & CONTACT); // these continue after the last map
+  const free = contact.contact !== 1 && !(map.flags & CONTACT); // these continue after the last map
   const own = free ? contact : view.contacts.get(map.seq);
   if (own || performance.now() - view.shown_ms > TOGETHER_MS) view.numbers = own ?? null;
   return view.numbers;
@@ -66,9 +66,11 @@ export function nextMap(view, geometry, decoded) {
     view.height = null;
     if (map) return map;
   }
-  const free = view.contact?.contact === 0;
+  const free = view.contact?.contact === 0, unknown = view.contact?.contact === null;
   if (!view.map) return free && geometry ? zeroMap(geometry) : null;
   // The only height map of a release can be lost; `contact` still reports that nothing touches.
-  if (free && view.map.flags & CONTACT && geometry && performance.now() - view.height_ms > RELEASE_LOST_MS) return zeroMap(geometry);
+  const lost = view.map.flags & CONTACT && geometry && performance.now() - view.height_ms > RELEASE_LOST_MS;
+  if (free && lost) return zeroMap(geometry);
+  if (unknown && lost) return { ...zeroMap(geometry), flags: INVALID };
   return geometry !== view.drawnFor ? view.map : null;
 }

@@ -8,8 +8,9 @@ const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
 
 export function showContact(contact) {
   const touched = contact?.touched === 1, free = contact?.contact === 0 && !touched, { objects, slip } = contact ?? {};
-  const found = !contact ? "" : free ? "none" : touched ? UNMEASURED : counted(objects, "object");
-  put("n-contact", found, touched ? "touched" : contact && !free ? "good" : undefined);
+  const known = contact && contact.contact !== null; // null: the frame cannot be used
+  const found = !known ? "" : free ? "none" : touched ? UNMEASURED : counted(objects, "object");
+  put("n-contact", found, touched ? "touched" : known && !free ? "good" : undefined);
   const [words, level] = free ? ["none"] : SLIPS[slip] ?? [""];
   put("n-slip", words, level);
   put("n-depth", number(contact?.depth_max_mm, 2));

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from tacshade_edge.recording.exports.table_export import Add, contact_numbers, new_path
 from tacshade_edge.recording.mcap.writer import (
     McapWriter,
@@ -81,9 +83,11 @@ def mcap_export(
 
 
 def _results(recorded: RecordedFrame, result: Reconstruction, sensor_id: str) -> dict[str, bytes]:
-    wall_ns = recorded.wall_ns
+    wall_ns, height_mm = recorded.wall_ns, result.height.height_mm
+    # An image has no flag that says that the 0 of an unusable frame is none.
+    known_mm = height_mm if result.valid else np.full_like(height_mm, np.nan)
     return {
-        "height": height_message(result.height.height_mm, sensor_id, wall_ns),
+        "height": height_message(known_mm, sensor_id, wall_ns),
         "cloud": cloud_message(result.cloud, sensor_id, wall_ns),
         "contact": json.dumps(contact_numbers(recorded, result)).encode(),
         # The result of a recorded frame has no Unix time.

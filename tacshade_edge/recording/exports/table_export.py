@@ -6,6 +6,7 @@ import contextlib
 import csv
 import json
 import math
+import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -53,6 +54,8 @@ def new_path(path: Path) -> Iterator[Path]:
         raise ConfigError(
             f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
         )
+    # A link to a name that is free: the file gets that name.
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     partial = part(path)
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -185,5 +188,5 @@ def _finger(finger: Finger) -> dict[str, Any]:
         "seq": finger.seq,
         "depth_max_mm": None if greatest is None else greatest.depth_max_mm,
         "slip": None if greatest is None else greatest.slip,
-        "touched": int(finger.touched),
+        "touched": None if finger.state == "away" else int(finger.touched),
     }

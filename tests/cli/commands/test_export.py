@@ -68,7 +68,7 @@ def test_csv_has_a_row_for_each_frame_and_overwrites_nothing(
     path = recording.with_name("rec.csv")
     assert capsys.readouterr().out == f"{path}: 5 frames, 2 in contact, 1 invalid\n"
     rows = table(path)
-    assert [row["contact"] for row in rows] == ["0", "1", "1", "0", "0"]
+    assert [row["contact"] for row in rows] == ["0", "1", "1", "", "0"]
     assert [row["valid"] for row in rows] == ["1", "1", "1", "0", "1"]
     assert float(rows[1]["depth_max_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
     assert int(rows[2]["t_ns"]) == T_NS + 2 * PERIOD_NS

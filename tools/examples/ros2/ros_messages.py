@@ -37,8 +37,9 @@ class Ros(Protocol):
 
 def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
     """Make a ``sensor_msgs/Image``, 32FC1: h of each cell in m, positive inwards;
-    NaN outside the disc.
+    NaN outside the disc, and everywhere in a frame that could not be used.
     """
+    height_m = message.height_mm * np.float32(np.nan if message.invalid else M_PER_MM)
     rows, cols = message.height_mm.shape
     return ros.make(
         "sensor_msgs/msg/Image",
@@ -48,7 +49,7 @@ def image(ros: Ros, message: HeightMessage, sensor_id: str) -> Any:
         encoding="32FC1",
         is_bigendian=0,
         step=4 * cols,
-        data=ros.octets((message.height_mm * np.float32(M_PER_MM)).astype("<f4").tobytes()),
+        data=ros.octets(height_m.astype("<f4").tobytes()),
     )
 
 
