@@ -80,7 +80,7 @@ def fit(
     # What touches leave unexplained says how far off networks are on this sensor.
     if choice and touches and not calibration.error_scales:
         calibration = replace(calibration, error_scales=error_scales_of(choice.lefts))
-    if reasons := refused(prints, choice):
+    if reasons := refused(prints, choice, has_presses=bool(presses)):
         return FitResult(calibration, reasons[:1], advice=reasons[1:])
     prints = list(choice.prints) if choice else _likely(prints)
     say("fit: comparing presses with simulated skins" if presses else "fit: simulating")

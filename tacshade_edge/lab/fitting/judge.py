@@ -164,8 +164,9 @@ learnt, the whole way is best.
 """
 CLEARLY, TOLERATED = 0.95, 1.1
 """How much better than the part without presses or touches another part is on them that is taken
-instead, and how much worse than the shipped network a fitted one may be on them: presses are few
-and of simple shapes, and none is dragged; what touches leave unexplained hardly ranks networks.
+instead, and how much worse than the shipped network a fitted one may be on presses: they are few
+and of simple shapes, and none is dragged. What touches leave unexplained hardly ranks networks, but
+a network that leaves more of them than the shipped one has nothing that speaks for it.
 """
 USUAL_LEFT = 0.6
 """The share of touches' changes that maps leave unexplained where σ of the shipped networks is
@@ -226,7 +227,7 @@ class NetworkReport:
             found_mm = self.fitted_presses_mm
             return found_mm is not None and found_mm < TOLERATED * self.shipped_presses_mm
         if self.shipped_left is not None and self.fitted_left is not None:
-            return self.fitted_left < TOLERATED * self.shipped_left
+            return self.fitted_left < self.shipped_left
         return True
 
     @property

@@ -8,7 +8,8 @@ import multiprocessing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -150,6 +151,21 @@ def test_touches_that_no_print_explains_are_not_fitted(monkeypatch: pytest.Monke
     assert not result.calibration.fitted
     assert "of the touches' changes unexplained: nothing is fitted" in result.found[0]
     assert set(result.calibration.error_scales) == set(LADDER)
+
+
+@pytest.mark.parametrize(
+    ("left", "has_presses", "is_refused"),
+    [(0.33, False, False), (0.6, False, True), (0.6, True, False), (0.95, True, True)],
+)
+def test_without_labels_a_print_must_explain_half_of_what_touches_change(
+    left: float, has_presses: bool, is_refused: bool
+) -> None:
+    from tacshade_edge.lab.fitting.words import refused
+
+    choice: Any = SimpleNamespace(left=left)
+    reasons = refused(found_prints(), choice, has_presses=has_presses)
+    assert bool(reasons) == is_refused
+    assert not is_refused or has_presses or "press at least" in reasons[1]
 
 
 def test_too_few_touches_are_a_mistake_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
