@@ -161,12 +161,12 @@ PAGES = {
     ),
     "strangers": Page(
         {
-            "": (f"{STRANGERS} --families third --range final --first 2 --sensors 2 --ways none"),
-            "A layered skin, with touches": (
-                f"{STRANGERS} --families layered --range final --sensors 1 --ways touches"
+            "": f"{STRANGERS} --families third --range final --sensors 4 --ways none",
+            "Layered skins, with touches": (
+                f"{STRANGERS} --families layered --range final --sensors 4 --ways touches"
             ),
-            "An oblate skin, with touches": (
-                f"{STRANGERS} --families oblate --range final --sensors 1 --ways touches"
+            "Oblate skins, with touches": (
+                f"{STRANGERS} --families oblate --range final --sensors 4 --ways touches"
             ),
             "Do touches rank maps?": (
                 "tools.studies.strangers.explained --states out/strangers --sensors 1"
