@@ -128,7 +128,7 @@ class TouchModel:
     # Part of the picture from whose change on the model answers.
     gate_part: Annotated[float, Meta(ge=0, le=1)]
     centres: F32  # (M, n)
-    width: Positive  # of the squared-exponential kernel
+    width: Size  # of the squared-exponential kernel, which divides by its square
     # (n + M, K): kernel values to the basis functions that vary most
     # and are uncorrelated over the table.
     basis: F32

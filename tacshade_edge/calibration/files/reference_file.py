@@ -8,7 +8,9 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from tacshade_edge.calibration.files.calibration_file import REFERENCE_ARRAYS, with_crc
 from tacshade_edge.errors import ConfigError
@@ -49,7 +51,8 @@ class StoredReference:
 class _File:
     version: int
     belongs_to: int
-    wall_ns: int
+    # Any later time has a year that no calendar function takes.
+    wall_ns: Annotated[int, Meta(ge=0, le=2**63 - 1)]
     noise_grey: float
     reference_white: U8
     reference_grey: U8

@@ -11,6 +11,7 @@ from importlib import resources
 
 import numpy as np
 
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.geometry.disc import DiscRays
 from tacshade_edge.sensor.geometry.disc_map import with_finite_radius
 from tacshade_edge.sensor.recognition.answer import Recogniser
@@ -33,8 +34,16 @@ def load_metric() -> Metric:
 
 
 def make_recogniser(known: Sequence[KnownObject]) -> Recogniser:
-    """Make what answers for a profile's known objects, at least one."""
-    return Recogniser(load_metric(), known)
+    """Make what answers for a profile's known objects, at least one.
+
+    Raises ConfigError for descriptions of another size than this version's.
+    """
+    metric = load_metric()
+    for each in known:
+        if (found := each.touches.shape[1]) != len(metric.middle):
+            text = f"found {found} numbers in a description, expected {len(metric.middle)}"
+            raise ConfigError(f"object {each.name}: {text}; teach it again")
+    return Recogniser(metric, known)
 
 
 def make_namer(known: Sequence[KnownObject], rays: DiscRays, geometry: Geometry) -> Namer:
