@@ -23,6 +23,7 @@ from tacshade_edge.daemon.ongoing_recording import (
 from tacshade_edge.daemon.pre_roll import EVENT_BYTES
 from tacshade_edge.daemon.record_thread import RecordThread
 from tacshade_edge.errors import DeviceError, TacshadeError
+from tacshade_edge.files.atomic_files import free_name
 from tacshade_edge.pipeline.observer import RECORDED_S, FrameObserver, Reply, SourceState
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.recording.recorder import RecordingWriter
@@ -39,6 +40,12 @@ _log = logging.getLogger(__name__)
 EVENTS_RESERVE_BYTES: Final = 256 * 1024
 # A status changes with every frame while a recording goes on.
 STATUS_PERIOD_S: Final = 1.0
+# Far above what a clock is slewed by between two looks.
+_JUMP_NS: Final = 100_000_000
+
+
+def _wall_minus_t_ns() -> int:
+    return time.time_ns() - time.monotonic_ns()
 
 
 class LiveRecorder(FrameObserver):
@@ -70,6 +77,7 @@ class LiveRecorder(FrameObserver):
         self._calibration_crc32: int | None = None
         self._published, self._published_s = b"", 0.0
         self._published_folder: Path | None = None
+        self._wall_minus_t_ns = _wall_minus_t_ns()
 
     def start(self) -> None:
         self._thread.start()
@@ -116,8 +124,8 @@ class LiveRecorder(FrameObserver):
         reconstructor: Reconstructor,
         source: SourceState,
     ) -> Path:
-        name = request.name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
-        folder = Path(settings.recorder.folder) / name
+        folder = Path(settings.recorder.folder)
+        folder = folder / request.name if request.name else free_name(folder)
         calibration, profile = reconstructor.calibration, reconstructor.profile.name
         about = {
             "version": installed_version(),
@@ -234,6 +242,7 @@ class LiveRecorder(FrameObserver):
         """End a recording that is over, answer the request to stop it,
         and publish ``status/recorder``.
         """
+        self._look_at_clock()
         # In the main thread, which alone begins and ends recordings: `record` only sets `done`.
         recording = self._recording
         if recording is not None and time.monotonic_ns() > recording.end_ns:
@@ -247,6 +256,16 @@ class LiveRecorder(FrameObserver):
                 self._stop_reply = None
                 reply(self._latest.as_dict())
         self._publish_status(time.monotonic())
+
+    def _look_at_clock(self) -> None:
+        """Note a jump of the machine's clock: the frames' times go on, on a clock of their own, and
+        the Unix times of a recording are all by the offset of its beginning.
+        """
+        before_ns, self._wall_minus_t_ns = self._wall_minus_t_ns, _wall_minus_t_ns()
+        jump_ns = self._wall_minus_t_ns - before_ns
+        if abs(jump_ns) >= _JUMP_NS:
+            _log.warning("the clock was set by %+.1f s", jump_ns / 1e9)
+            self.event("clock", jump_s=round(jump_ns / 1e9, 3), wall_ns=time.time_ns())
 
     def _publish_status(self, now_s: float) -> None:
         recording, latest = self._recording, self._latest

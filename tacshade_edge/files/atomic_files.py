@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import itertools
 import os
 import shutil
 import stat
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -47,6 +49,15 @@ def require_free(folder: Path) -> None:
         found, expected = shutil.disk_usage(existing).free // 2**20, FREE_FLOOR_BYTES // 2**20
         text = f"{existing}: found {found} MiB free on the disk, expected at least {expected} MiB"
         raise DeviceError(text, code=ReasonCode.DISK_FULL)
+
+
+def free_name(folder: Path) -> Path:
+    """A new folder's path in a folder, named by the time in UTC; with ``-2`` and so on if the name
+    exists, as on a machine without a clock after each boot.
+    """
+    name = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+    names = itertools.chain((name,), (f"{name}-{number}" for number in itertools.count(2)))
+    return next(path for each in names if not os.path.lexists(path := folder / each))
 
 
 def part(path: Path) -> Path:

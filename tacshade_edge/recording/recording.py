@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.images import SUFFIXES, images_in, read_image
-from tacshade_edge.quoting import encodable
+from tacshade_edge.quoting import encodable, shown
 from tacshade_edge.recording.frame_table import FrameTable, TableRow, read_table, table_in
-from tacshade_edge.recording.mcap import is_mcap, mcap_frames
+from tacshade_edge.recording.mcap import how_to_convert, is_mcap, mcap_frames
 from tacshade_edge.recording.recording_content import wall_minus_t_ns
 from tacshade_edge.recording.video import DEFAULT_FPS, Video
 from tacshade_edge.regular_files import named_file
@@ -55,16 +55,25 @@ class Recording:
 
     `fps` is the frame rate of the time stamps without a table, instead of a video's own; the
     attribute is None where the recording has its own times. Time stamps and numbers keep growing in
-    `times` passes (0 repeats endlessly). `cut_off`: the writer crashed; everything it wrote
-    before is included. `damage` is of everything but images, for a person. `images` is the number
-    of frames of one pass and `frames` that of all; 0 or None if unknown before the end.
+    `times` passes (0 repeats endlessly). `topic` chooses among those of an MCAP file. `cut_off`:
+    the writer crashed; everything it wrote before is included. `damage` is of everything but
+    images, for a person. `images` is the number of frames of one pass and `frames` that of all; 0
+    or None if unknown before the end.
     """
 
     def __init__(
-        self, path: Path, *, fps: float | None = None, times: int = 1, video_table: bool = True
+        self,
+        path: Path,
+        *,
+        fps: float | None = None,
+        times: int = 1,
+        video_table: bool = True,
+        topic: str | None = None,
     ) -> None:
         self._path = path
-        self._mcap = mcap_frames(path) if is_mcap(path) else None
+        self._mcap = mcap_frames(path, topic) if is_mcap(path) else None
+        if topic is not None and self._mcap is None:
+            raise ConfigError(f"--topic: found {shown(topic)}, expected none: {path} is not MCAP")
         self._table = None if self._mcap else _table_beside(path, video_table=video_table)
         self._rows: FrameTable | None = None
         self._video: Video | None = None
@@ -203,6 +212,8 @@ class Recording:
 
 def _look_at(path: Path) -> tuple[list[Path], Video | None]:
     """The paths of a folder's images or of one image, or the opened video. Raises ConfigError."""
+    if convert := how_to_convert(path):
+        raise ConfigError(f"{path}: {convert}")
     if path.is_dir():
         return images_in([path]), None
     if not path.is_file():

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.files.atomic_files import disk_errors
+from tacshade_edge.files.atomic_files import disk_errors, free_name
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.rigid import Rigid
@@ -125,7 +125,7 @@ class StitchSession:
 
         Raises DeviceError.
         """
-        name = name or time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        name = name or free_name(folder).name
         if not re.match(RECORD_NAME, name):
             raise DeviceError(
                 f"found {quoted(name)}, expected {RECORD_NAME_RULE}", code=ReasonCode.BAD_NAME

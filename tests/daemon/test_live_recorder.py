@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacshade_edge.daemon import pre_roll, record_thread
+from tacshade_edge.daemon import live_recorder, pre_roll, record_thread
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.ongoing_recording import STOPPED, TIME
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -324,3 +324,29 @@ def test_frames_of_another_reference_are_not_before(live: Live, calibration: Cal
     live.recorder.end(STOPPED)
     live.ended()
     assert written(live.folder) == [frame.t_ns for frame in after]
+
+
+def test_a_clock_that_is_set_is_an_event_and_the_times_go_on(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live.begin()
+    began_ns, wall_ns = time.monotonic_ns(), 1_790_000_000_000_000_000
+    jumps_s = (-86_400.0, 30 * 86_400.0, 0.05)
+    offset_ns = time.time_ns() - time.monotonic_ns()
+    for k, jump_s in enumerate(jumps_s):
+        live.give(Frame(k, began_ns + k, wall_ns + k, FREE))
+        offset_ns += round(jump_s * 1e9)
+        monkeypatch.setattr(
+            live_recorder, "_wall_minus_t_ns", lambda offset_ns=offset_ns: offset_ns
+        )
+        live.recorder.poll()
+        wall_ns += round(jump_s * 1e9)
+    live.recorder.end(STOPPED)
+    live.ended()
+    clock = [event["data"]["jump_s"] for event in live.events() if event["kind"] == "clock"]
+    assert clock == pytest.approx(jumps_s[:2], abs=0.1)  # a clock that is slewed has not jumped
+    recording = Recording(live.folder)
+    frames = [frame for _ in jumps_s if (frame := recording.read()) is not None]
+    assert [frame.frame.t_ns for frame in frames] == [began_ns + k for k in range(3)]
+    # One offset for the whole recording: the Unix times go on, too.
+    assert [frame.wall_ns for frame in frames] == [1_790_000_000_000_000_000 + k for k in range(3)]

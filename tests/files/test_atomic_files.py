@@ -5,6 +5,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.files.atomic_files import (
     FolderLock,
     disk_errors,
+    free_name,
     part,
     sync,
     write_set,
@@ -165,3 +167,14 @@ def test_a_file_that_is_a_mount_says_so_in_a_line(tmp_path: Path) -> None:
         "the folder that contains it instead\n"
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_a_name_by_the_second_that_exists_gets_a_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.gmtime", lambda: time.struct_time((1970, 1, 1, 0, 0, 9, 3, 1, 0)))
+    names = []
+    for _ in range(3):
+        free_name(tmp_path).mkdir()
+        names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["19700101-000009", "19700101-000009-2", "19700101-000009-3"]

@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_profile(parser)
     text = "file to create (for ply: folder to create; default: next to the recording)"
     add_option(parser, "--out", "PATH", text)
+    add_option(parser, "--topic", "NAME", "image topic of an MCAP file that has several", str)
     text = (
         "recording that `replay` can read; to export a hand (csv or mcap), "
         "give one recording per finger"
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if len(args.input) > 1:
         return _export_hand(args)
     (path,) = args.input
-    recording = Recording(path)
+    recording = Recording(path, topic=args.topic)
     for line in (
         recording.damage,
         "the recording was cut off; exporting what is whole" if recording.cut_off else "",

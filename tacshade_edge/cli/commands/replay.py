@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "frame rate of images or a video (default: the video's own times; 30 for images)",
         POSITIVE,
     )
+    add_option(parser, "--topic", "NAME", "image topic of an MCAP file that has several", str)
     add_option(
         parser,
         "--speed",
@@ -185,7 +186,7 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _opened(args: argparse.Namespace) -> Recording:
-    recording = Recording(args.input, fps=args.fps, times=args.loop)
+    recording = Recording(args.input, fps=args.fps, times=args.loop, topic=args.topic)
     if recording.cut_off:
         warn(f"{args.input}: the recording was cut off; replaying what was written until then")
     if recording.damage:
@@ -212,7 +213,7 @@ def _started_link(
 def _playback(args: argparse.Namespace, link: ReplayLink) -> Playback:
     return Playback(
         # A person watches: at the recorded pace, and not as fast as possible.
-        lambda: Recording(args.input, fps=args.fps),
+        lambda: Recording(args.input, fps=args.fps, topic=args.topic),
         args.speed or 1.0,
         link.report_playback,
     )

@@ -5,28 +5,22 @@ or the images of Foxglove or ROS 2.
 from __future__ import annotations
 
 import contextlib
+import heapq
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
-import cv2
 import msgspec
-import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.message import DecodeError as ProtobufError
 from mcap.records import Channel, Message, Schema
 from msgspec import Meta
 
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX, decode_image
 from tacshade_edge.files.tables import NUMBER_MAX
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.recording.frame_table import ERROR_US_MAX, T_NS_MAX, UNIT_TOLERANCE, TableRow
-from tacshade_edge.recording.mcap import ros_image
+from tacshade_edge.recording.mcap.image_messages import KINDS, image_of, stamp_ns_of
 from tacshade_edge.recording.mcap.reader import McapFile
-from tacshade_edge.recording.mcap.ros_image import PixelRows
 from tacshade_edge.types import U8, Pose
 
 OURS: Final = "tacshade"
@@ -41,6 +35,11 @@ _UNUSABLE_MAX: Final = 10_000
 """Most unusable pictures and damaged places in a pass;
 each costs a log line, and a small file can have millions.
 """
+# Messages that wait for an earlier one which the file has later, and their size.
+_AHEAD_MAX: Final = 64
+_AHEAD_BYTES_MAX: Final = 64 << 20
+# Other programs' images that are no pictures of their own.
+_VIDEOS: Final = ("CompressedVideo", "FFMPEGPacket", "Packet")
 Picture = Callable[[], U8]
 
 
@@ -74,10 +73,10 @@ class McapFrames:
     others are. `damage` is of everything but frames, for a person. `length_ns` is from the first to
     the last message on any topic, 0 if a file does not state it.
 
-    Raises ConfigError if it does not have exactly one readable topic of images.
+    Raises ConfigError if it does not have exactly one readable topic of images, or the given one.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
+    def __init__(self, paths: Sequence[Path], topic: str | None = None) -> None:
         self._paths: list[Path] = []
         self.cut_off = False
         damage, spans = [], []
@@ -99,18 +98,20 @@ class McapFrames:
             max(0, stated[-1][1] - stated[0][0]) if stated and len(stated) == len(paths) else 0
         )
         self.damage = "; ".join(damage)
-        self.topic, self._is_ours = _topic_of(self._paths or paths)
+        self.topic, self._is_ours = _topic_of(self._paths or paths, topic)
         self._unusable = 0
+        self._is_stamped: bool | None = None
 
     def __iter__(self) -> Iterator[tuple[TableRow, Picture, int]]:
         """Every frame's row, its picture, which raises DecodeError if it is unusable,
-        and its message's time in ns.
+        and its time in ns; in the order of the times at which the pictures were taken, if the first
+        one states it, otherwise of those at which they were recorded.
         """
         last_ns = -1
-        self._unusable = 0
+        self._unusable, self._is_stamped = 0, None
         # Numbered over all files, as are the frames.
         images = ((path, found) for path in self._paths for found in self._images_in(path))
-        for count, (path, found) in enumerate(images):
+        for count, path, found, taken_ns in self._in_order(enumerate(images)):
             where, too_many = "", self._unusable > _UNUSABLE_MAX
             try:
                 if too_many:
@@ -122,8 +123,9 @@ class McapFrames:
                     raise found
                 where = f"{shown(path)}: message {count} of {shown(self.topic)}: "
                 schema, encoding, message, about = found
-                row = self._row(count, message, about)
-                if row.t_ns <= last_ns:
+                row = self._row(count, message, about, taken_ns)
+                # Equal times are many programs' way to have none; our own differ.
+                if row.t_ns < last_ns + self._is_ours:
                     expected = f"expected a time after the previous frame's, {last_ns} ns"
                     raise DecodeError(f"found the time {row.t_ns} ns, {expected}")
             except DecodeError as error:
@@ -132,7 +134,52 @@ class McapFrames:
                     return
                 continue
             last_ns = row.t_ns
-            yield row, self._picture(where, (schema, encoding, message.data)), message.log_time
+            wall_ns = message.log_time if self._is_ours else taken_ns
+            yield row, self._picture(where, (schema, encoding, message.data)), wall_ns
+
+    def _in_order(
+        self, images: Iterable[tuple[int, tuple[Path, _Image | DecodeError]]]
+    ) -> Iterator[tuple[int, Path, _Image | DecodeError, int]]:
+        """Images with their times, in that order, as far as few enough lie between; ours as they
+        come.
+        """
+        waiting: list[tuple[int, int, Path, _Image]] = []
+        size = 0
+        for count, (path, found) in images:
+            if isinstance(found, DecodeError) or self._is_ours:
+                yield count, path, found, 0
+                continue
+            try:
+                taken_ns = self._taken_ns(found)
+            except DecodeError as error:
+                where = f"{shown(path)}: message {count} of {shown(self.topic)}: "
+                yield count, path, DecodeError(f"{where}{error}"), 0
+                continue
+            heapq.heappush(waiting, (taken_ns, count, path, found))
+            size += len(found[2].data)
+            while len(waiting) > _AHEAD_MAX or size > _AHEAD_BYTES_MAX:
+                first_ns, number, where_from, image = heapq.heappop(waiting)
+                size -= len(image[2].data)
+                yield number, where_from, image, first_ns
+        while waiting:
+            taken_ns, count, path, image = heapq.heappop(waiting)
+            yield count, path, image, taken_ns
+
+    def _taken_ns(self, image: _Image) -> int:
+        """The time of a picture. Raises DecodeError."""
+        schema, encoding, message, _ = image
+        stamp_ns = (
+            stamp_ns_of(schema, encoding, message.data) if self._is_stamped is not False else 0
+        )
+        # The first one says which clock: times of two would be in no order.
+        if self._is_stamped is None:
+            self._is_stamped = stamp_ns > 0
+        taken_ns = stamp_ns if self._is_stamped else message.log_time
+        if self._is_stamped and taken_ns <= 0:
+            raise DecodeError("found no time in its header, expected one as in the first message")
+        if taken_ns > T_NS_MAX:
+            raise DecodeError(f"found the time {taken_ns}, expected at most 2^62 ns")
+        return taken_ns
 
     def _picture(self, where: str, content: tuple[str, str, bytes] | DecodeError) -> Picture:
         def picture() -> U8:
@@ -195,15 +242,15 @@ class McapFrames:
                 )
                 yield DecodeError(f"{shown(path)}: found {found}; the missing messages are lost")
 
-    def _row(self, count: int, message: Message, about: FrameAbout | str | None) -> TableRow:
-        """The row of a message, from our `FRAME` message or else from the message's time.
+    def _row(
+        self, count: int, message: Message, about: FrameAbout | str | None, taken_ns: int
+    ) -> TableRow:
+        """The row of a message, from our `FRAME` message or else from the picture's time.
 
         Raises DecodeError.
         """
         if not self._is_ours:
-            if message.log_time > T_NS_MAX:
-                raise DecodeError(f"found the time {message.log_time}, expected at most 2^62 ns")
-            return TableRow(str(count), message.log_time, None)
+            return TableRow(str(count), taken_ns, None)
         if isinstance(about, str):
             raise DecodeError(about)
         # Damage may have taken either of the two: they have one number.
@@ -228,9 +275,13 @@ class McapFrames:
         return TableRow(about.image, about.t_ns, pose, about.pose_error_us)
 
 
-def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
-    """Our topic of images, or the only one there is, and whether it is ours. Raises ConfigError."""
+def _topic_of(paths: Sequence[Path], wanted: str | None) -> tuple[str, bool]:
+    """The wanted topic of images, ours, or the only one there is, and whether it is ours.
+
+    Raises ConfigError.
+    """
     topics: set[str] = set()
+    videos: set[str] = set()
     damage = ""
     for path in paths:
         with contextlib.closing(McapFile(path)) as file:
@@ -246,24 +297,39 @@ def _topic_of(paths: Sequence[Path]) -> tuple[str, bool]:
                 elif isinstance(record, DecodeError):
                     damage = damage or f"; {record}"
                 # Whatever other images the file has: an export also has height maps.
-                elif isinstance(record, Channel) and record.metadata.get(OURS) == CAMERA:
-                    return record.topic, True
                 elif isinstance(record, Channel) and (found := schemas.get(record.schema_id)):
-                    topics |= (
-                        {record.topic}
-                        if (found.name, record.message_encoding) in DECODERS
-                        else set()
-                    )
+                    if record.metadata.get(OURS) == CAMERA and wanted in (None, record.topic):
+                        return record.topic, True
+                    if (found.name, record.message_encoding) in KINDS:
+                        topics.add(record.topic)
+                    elif found.name.endswith(_VIDEOS):
+                        videos.add(found.name)
             if file.cut_off:
                 damage = damage or f"; {shown(path)} was cut off"
-    if len(topics) == 1:
-        return topics.pop(), False
-    named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
-    count = f"{len(topics)} image topics ({named})" if topics else "no image topics"
-    expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in DECODERS)
-    raise ConfigError(
-        f"{shown(paths[0])}: found {count}, expected one (supported: {expected}){damage}"
+    if wanted in topics or (wanted is None and len(topics) == 1):
+        return wanted or topics.pop(), False
+    if wanted is not None:
+        named = shown(", ".join(sorted(topics)))
+        raise ConfigError(f"--topic: found {shown(wanted)}, expected one of {named}{damage}")
+    raise ConfigError(f"{shown(paths[0])}: {_not_one(topics, videos)}{damage}")
+
+
+def _not_one(topics: set[str], videos: set[str]) -> str:
+    """Why there is not one topic of images."""
+    expected = ", ".join(f"{schema} in {encoding}" for schema, encoding in KINDS)
+    if topics:
+        named = quoted(", ".join(sorted(topics)), _NAME_CHARS_MAX).strip("'")
+        return (
+            f"found {len(topics)} image topics ({named}), expected one, chosen with --topic "
+            f"(supported: {expected})"
+        )
+    video = (
+        f"; it has video ({shown(', '.join(sorted(videos)))}), which image_transport's `republish` "
+        "turns into images"
+        if videos
+        else ""
     )
+    return f"found no image topics, expected one (supported: {expected}){video}"
 
 
 def _about(payload: bytes) -> FrameAbout | str:
@@ -277,74 +343,3 @@ def _about(payload: bytes) -> FrameAbout | str:
         return msgspec.json.decode(payload, type=FrameAbout)
     except (ValueError, RecursionError) as error:
         return f"{shown(error)}, on the channel `frame`"
-
-
-# Encoding to its number of channels and OpenCV's code for the conversion to BGR.
-_ENCODINGS: Final[dict[str, tuple[int, int | None]]] = {
-    "mono8": (1, None),
-    "8UC1": (1, None),
-    "bgr8": (3, None),
-    "8UC3": (3, None),
-    "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "bgra8": (4, cv2.COLOR_BGRA2BGR),
-    "rgba8": (4, cv2.COLOR_RGBA2BGR),
-}
-
-
-def _compressed(data: bytes) -> U8:
-    # A camera's pixels as they are: a JPEG may ask to be turned.
-    return decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-
-
-def _raw(image: PixelRows) -> U8:
-    if image.encoding not in _ENCODINGS:
-        raise DecodeError(
-            f"found the encoding {quoted(image.encoding)}, expected one of {', '.join(_ENCODINGS)}"
-        )
-    channels, to_bgr = _ENCODINGS[image.encoding]
-    rows, cols, step = image.height_px, image.width_px, image.step_bytes
-    if not (min(rows, cols) > 0 and max(rows, cols) <= SIDE_MAX_PX and rows * cols <= PIXELS_MAX):
-        raise DecodeError(f"found {cols}x{rows} px, expected at most {SIDE_MAX_PX} px per side")
-    if step < cols * channels or len(image.data) < rows * step:
-        raise DecodeError(f"found {len(image.data)} bytes, expected {rows} rows of {step} bytes")
-    pixels = np.frombuffer(image.data, np.uint8, rows * step).reshape(rows, step)[
-        :, : cols * channels
-    ]
-    # A copy: the view is read-only and would keep the message in memory.
-    if channels == 1:
-        return pixels.copy()
-    pixels = pixels.reshape(rows, cols, channels)
-    return pixels.copy() if to_bgr is None else np.asarray(cv2.cvtColor(pixels, to_bgr), np.uint8)
-
-
-def _foxglove_raw(payload: bytes) -> U8:
-    message = RawImage.FromString(payload)
-    return _raw(
-        PixelRows(message.height, message.width, message.encoding, message.step, message.data)
-    )
-
-
-# (schema, encoding of messages) to a function from payload to pixels.
-DECODERS: Final[dict[tuple[str, str], Callable[[bytes], U8]]] = {
-    ("foxglove.CompressedImage", "protobuf"): lambda payload: _compressed(
-        CompressedImage.FromString(payload).data
-    ),
-    ("foxglove.RawImage", "protobuf"): _foxglove_raw,
-    ("sensor_msgs/msg/CompressedImage", "cdr"): lambda data: _compressed(
-        ros_image.decode_compressed_image(data)
-    ),
-    ("sensor_msgs/msg/Image", "cdr"): lambda payload: _raw(ros_image.decode_image(payload)),
-}
-
-
-def image_of(schema: str, encoding: str, payload: bytes) -> U8:
-    """The picture in a message, uint8 (H, W) grey or (H, W, 3) BGR. Raises DecodeError."""
-    if (schema, encoding) not in DECODERS:
-        raise DecodeError(
-            f"found a {quoted(schema)} message encoded as {quoted(encoding)}, "
-            "expected an image message"
-        )
-    try:
-        return DECODERS[schema, encoding](payload)
-    except ProtobufError as error:
-        raise DecodeError(f"{schema}: {error}, expected an image") from None
