@@ -19,6 +19,13 @@ class SuspicionCode(Enum):
     CLOCK_RATE = auto()
     CLOCK_COUNTS_DOWN = auto()
     CLOCK_STANDS = auto()
+    # Poses.
+    ONE_POSE = auto()
+    POSES_CLOSE = auto()
+    POSES_APART = auto()
+    POSES_UNIT = auto()
+    POSES_READING = auto()
+    POSES_SCATTERED = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,5 +78,30 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     SuspicionCode.CLOCK_STANDS: (
         "found the robot's time to stand still while it sends, expected ns that increase"
     ),
+    SuspicionCode.ONE_POSE: (
+        "x_mm to qz: found one pose for all {rows} presses, which differ by {rms_mm:.2f} mm, "
+        "expected the pose of each"
+    ),
+    SuspicionCode.POSES_CLOSE: (
+        "x_mm, y_mm, z_mm span {spread_mm:.2g} mm: found presses at one place, expected them to "
+        "stand apart, with a sensor of {size_mm:.2g} mm: are they{unit}"
+    ),
+    SuspicionCode.POSES_APART: (
+        "x_mm, y_mm, z_mm: found presses {apart_mm:.3g} mm from the nearest others, expected "
+        "neighbours that overlap, with a sensor of {size_mm:.2g} mm: are they{unit}"
+    ),
+    SuspicionCode.POSES_UNIT: (
+        "x_mm, y_mm, z_mm span {spread_mm:.2g} mm: found presses that disagree by "
+        "{stated_mm:.2f} mm where they overlap, expected {rms_mm:.2f} mm as with another unit: "
+        "are they{unit}"
+    ),
+    SuspicionCode.POSES_READING: (
+        "x_mm to qz: found presses that disagree by {stated_mm:.2f} mm where they overlap, "
+        "expected {rms_mm:.2f} mm as if read otherwise: {reading}"
+    ),
+    SuspicionCode.POSES_SCATTERED: (
+        "x_mm to qz: found presses that nowhere overlap, expected them to agree within "
+        "{rms_mm:.2f} mm as if read otherwise: {reading}"
+    ),
 }
-"""The sentence of each; `{unit}` ends with a question mark."""
+"""The sentence of each; `{unit}` and `{reading}` end with a question mark."""

@@ -2,6 +2,6 @@
 
 In: frames with poses. Out: a session's files and its map.
 Threads: `stitch`.
-Other rooms use: `average`, `flange`, `map_files`, `press_points`, `refinement`, `session_worker`,
-    `stitcher`.
+Other rooms use: `average`, `flange`, `map_files`, `press_agreement`, `press_points`, `refinement`,
+    `session_worker`, `stitcher`.
 """

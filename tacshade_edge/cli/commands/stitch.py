@@ -17,6 +17,7 @@ from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, 
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.studies.stitch.map_presses import (
+    PRESSES_MAX,
     MapPress,
     averaged,
     frames_of_presses,
@@ -29,7 +30,7 @@ from tacshade_edge.lab.studies.stitch.map_truth import comparison_png, read_know
 from tacshade_edge.reasons import text_of
 from tacshade_edge.recording.frame_table import read_poses
 from tacshade_edge.recording.recording import Recording
-from tacshade_edge.rigid import Rigid, from_seven
+from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.stitching.flange import (
     ContactFrame,
@@ -39,8 +40,10 @@ from tacshade_edge.stitching.flange import (
     unseen,
 )
 from tacshade_edge.stitching.map_files import FLANGE, press_record, write_flange, write_map
+from tacshade_edge.stitching.press_agreement import suspected_poses
 from tacshade_edge.stitching.refinement import correction
 from tacshade_edge.stitching.stitcher import FinishedMap, Raster, Stitcher
+from tacshade_edge.types import Calibration
 
 TILES, MEAN = "tiles", "mean"
 PRESSES_MIN = 12
@@ -101,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
         found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
         for reason in unread:
             warn(f"{args.recording}: {reason.text}")
+        _doubt(found, calibration, where, args)
         report_flange(found, start, apex_mm, args.out, where, as_json=args.json)
         return EXIT_FAILED if unread else EXIT_OK
     if args.recording is None:
@@ -113,10 +117,12 @@ def run(args: argparse.Namespace) -> int:
     failed = [press for press in presses if press.failed]
     for press in failed:
         warn(f"{press.where}: {press.skipped}")
+    # The first ones, not some of all: only neighbours overlap.
+    first = [press for press in presses if not press.skipped][:PRESSES_MAX]
+    _doubt(frames_of_presses(first, start), calibration, where, args)
     if args.find_flange:
-        report_flange(
-            frames_of_presses(presses, start), start, apex_mm, args.out, where, as_json=args.json
-        )
+        frames = frames_of_presses(presses, start)
+        report_flange(frames, start, apex_mm, args.out, where, as_json=args.json)
         return EXIT_FAILED if failed else EXIT_OK
     stitcher = stitcher_of(presses, apex_mm)
     if stitcher.presses == 0:
@@ -124,6 +130,28 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{where}: found no usable press: {why}")
     _write_map(args, presses, stitcher, known)
     return EXIT_FAILED if failed else EXIT_OK
+
+
+def _doubt(
+    frames: Sequence[ContactFrame], calibration: Calibration, where: str, args: argparse.Namespace
+) -> None:
+    """Warn of poses of presses that may be in another unit or order.
+
+    Raises ConfigError if they cannot be as they stand.
+    """
+    resting = [frame for frame in frames if len(frame.track) == 1]
+    found = suspected_poses(
+        [frame.points for frame in resting],
+        [of_pose(frame.track[0]) for frame in resting],
+        from_seven(calibration.flange_T_sensor),
+        calibration.geometry.size_mm,
+        flange_known=not args.find_flange,
+    )
+    if found is None:
+        return
+    if found.impossible:
+        raise ConfigError(f"{where}: {found}")
+    warn(f"{where}: {found}")
 
 
 def _write_map(

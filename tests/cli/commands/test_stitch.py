@@ -241,3 +241,27 @@ def test_without_motion_the_delay_is_null(
     about = json.loads(capsys.readouterr().out)
     assert about == json.loads((tmp_path / "flange.json").read_text())
     assert about["delay_ms"] is None
+
+
+def test_poses_in_another_unit_or_one_for_all_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head, *rows = (folder / "POSES.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+
+    def said(name: str, changed: list[list[str]], *more: str) -> str:
+        wrong = folder / name
+        wrong.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
+        assert main(words(folder, tmp_path / "map", *more, poses=name)) == 78
+        assert not (tmp_path / "map").exists()
+        (line,) = without_progress(capsys.readouterr().err)
+        assert line.startswith(f"tacshade-edge: {wrong}: ")
+        return line
+
+    metres = [[a, *(f"{float(v) / 1000:.6f}" for v in b[:3]), *b[3:]] for a, *b in cells]
+    line = said("METRES.csv", metres)
+    assert "x_mm, y_mm, z_mm span 0.0" in line
+    assert line.endswith("are they in m?")
+    same = [[a, *cells[0][1:]] for a, *_ in cells]
+    assert "one pose for all" in said("SAME.csv", same)
+    assert "one pose for all" in said("SAME.csv", same, "--find-flange")
