@@ -26,6 +26,11 @@ class SuspicionCode(Enum):
     POSES_UNIT = auto()
     POSES_READING = auto()
     POSES_SCATTERED = auto()
+    # Labels.
+    LABEL_UNIT = auto()
+    LABEL_SIGN = auto()
+    LABELS_SWAPPED = auto()
+    LABELS_SHIFTED = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +107,22 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     SuspicionCode.POSES_SCATTERED: (
         "x_mm to qz: found presses that nowhere overlap, expected them to agree within "
         "{rms_mm:.2f} mm as if read otherwise: {reading}"
+    ),
+    SuspicionCode.LABEL_UNIT: (
+        "{name} spans {span:.2g}: found labels that the frames show {factor:.3g} times as large, "
+        "expected {expected}: are they{unit}"
+    ),
+    SuspicionCode.LABEL_SIGN: (
+        "{name}: found labels that fall as what the frames show rises, expected both to rise: has "
+        "it the opposite sign?"
+    ),
+    SuspicionCode.LABELS_SWAPPED: (
+        "{name}, {other}: found each to go with what the frames show of the other, expected its "
+        "own: are they swapped?"
+    ),
+    SuspicionCode.LABELS_SHIFTED: (
+        "found labels that go with no frame but that of another row, expected each image's own: "
+        "does each have those of the row {row}?"
     ),
 }
 """The sentence of each; `{unit}` and `{reading}` end with a question mark."""

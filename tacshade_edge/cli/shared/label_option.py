@@ -45,6 +45,9 @@ def learn_touches(
         if profile.network is not None:
             frames = _frames(labelled, size, partial(progress, f"frames ({profile.name})"))
             results.append(learn_touch(calibration, profile, frames))
+            if wrong := [one for one in results[-1].suspected if one.impossible]:
+                progress.end()
+                raise ConfigError(f"{table}: {'; '.join(map(str, wrong))}")
     progress.end()
     if not any(one.learnt.reports for one in results):
         raise ConfigError(
@@ -76,7 +79,8 @@ def touch_models(results: Sequence[TouchResult]) -> Mapping[str, TouchModel]:
 
 def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
     """Return warnings about frames that were left out and quantities with too few rows."""
-    lines = []
+    # Each profile looks at the same labels.
+    lines = list(dict.fromkeys(str(doubt) for one in results for doubt in one.suspected))
     for one in results:
         if one.left_out:
             shown = "; ".join(one.left_out[:_SHOWN]) + (

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacshade_edge.free_memory import return_free_memory
+from tacshade_edge.plausibility.label_columns import judge_labels
+from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.depth import Network, SigmaModel
 from tacshade_edge.sensor.depth.sigma import TERMS
@@ -31,8 +33,18 @@ from tacshade_edge.sensor.inference.sensor_layer import sensor_layer
 from tacshade_edge.sensor.profiles import PROFILES, Profile
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.sensor.touch.learning import LEAST_GROUPS, LEAST_ROWS, LearntTouch, learn
-from tacshade_edge.sensor.touch.touch_answer import NO_IMPRINT, imprint_of
-from tacshade_edge.types import F32, QUANTITIES, U8, Calibration, FittedNetwork, Frame, Need
+from tacshade_edge.sensor.touch.touch_answer import NO_IMPRINT, PLAIN, imprint_of
+from tacshade_edge.types import (
+    F32,
+    F64,
+    QUANTITIES,
+    U8,
+    Calibration,
+    FittedNetwork,
+    Frame,
+    Need,
+    Touch,
+)
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -276,6 +288,7 @@ class TouchResult:
     names: tuple[str, ...]
     left_out: tuple[str, ...]
     too_few: Mapping[str, tuple[int, int]]
+    suspected: tuple[Suspicion, ...] = ()
 
 
 def learn_touch(
@@ -290,6 +303,7 @@ def learn_touch(
     )
     names: list[str] = []
     left_out, known, groups, imprints, parts = [], [], [], [], []
+    shown: list[Touch | None] = []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
         # A refused frame has no features: the observer was not called.
@@ -299,6 +313,7 @@ def learn_touch(
         names.append(frame.name)
         imprints.append(imprint_of(made.objects, made.volume_mm3) if made.contact else NO_IMPRINT)
         parts.append(reconstructor.changed_part)
+        shown.append(made.touch)
         known.append(frame.known)
         # A group of its own, by a name that no table can hold.
         groups.append(frame.group or f"\0{len(names)}")
@@ -323,7 +338,19 @@ def learn_touch(
         learnt = learn(
             *table, chosen, labels[:, used], numbers, touch_networks(profile.network, fitted)
         )
-    return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few)
+    doubts = _doubts(labels, shown)
+    return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few, doubts)
+
+
+def _doubts(labels: F64, shown: Sequence[Touch | None]) -> tuple[Suspicion, ...]:
+    """What is wrong with labels (n, Q), judging by what the frames show without them."""
+    values = [{} if touch is None else touch.values for touch in shown]
+    seen = [
+        np.array([np.nan if (value := one.get(name)) is None else value for one in values])
+        for name in PLAIN
+    ]
+    stated = dict(zip(QUANTITIES, labels.T, strict=True))
+    return judge_labels({name: stated[name] for name in PLAIN}, dict(zip(PLAIN, seen, strict=True)))
 
 
 # Symbol of the unit at the end of a quantity's name.

@@ -304,3 +304,26 @@ def test_a_mistake_in_labels_is_one_line(
         str(tmp_path / "cal.npz"),
     ]
     assert said in refused(command, capsys)
+
+
+def test_labels_in_another_unit_are_refused(
+    alone: list[str], labelled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head, *rows = (labelled / "LABELS.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows if not row.startswith("free")]
+    for path in labelled.glob("*.png"):
+        (tmp_path / path.name).symlink_to(path)
+    table = tmp_path / "LABELS.csv"
+    radians = [[a, b, f"{np.radians(float(c)):.6f}", d] for a, b, c, d in cells]
+    metres = [[a, f"{float(b) / 1000:.7f}", c, d] for a, b, c, d in cells]
+    shifted = [[a, *b] for (a, *_), (_, *b) in zip(cells[1:], cells[:-1], strict=True)]
+    for changed, said in (
+        (radians, "are they in radians?"),
+        (metres, "are they in m?"),
+        (shifted, "does each have those of the row before?"),
+    ):
+        table.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
+        command = ["calibrate", *alone, "--labels", str(table), "--out", str(tmp_path / "cal.npz")]
+        line = refused(command, capsys)
+        assert f"{table}: " in line
+        assert said in line
