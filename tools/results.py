@@ -169,7 +169,7 @@ PAGES = {
                 f"{STRANGERS} --families oblate --range final --sensors 4 --ways touches"
             ),
             "Do touches rank maps?": (
-                "tools.studies.strangers.explained --states out/strangers --sensors 1"
+                "tools.studies.strangers.explained --states out/strangers --range final --sensors 2"
             ),
         },
     ),
