@@ -15,7 +15,7 @@ pytestmark = [
     pytest.mark.broker,
     pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
 ]
-QUICK = ("a bit flipped in a session's presses", "recordings read while they are written")
+QUICK = ("a bit flipped in a session's presses", "a recording read while it is written")
 
 
 @pytest.mark.parametrize("name", QUICK)

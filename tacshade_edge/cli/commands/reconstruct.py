@@ -88,7 +88,7 @@ class _Done:
     def in_words(self, images: int) -> str:
         """The counts in one line."""
         contacts, unmeasured = (
-            sum(record[name] for record in self.records) for name in ("contact", "touched")
+            sum(record[name] is True for record in self.records) for name in ("contact", "touched")
         )
         measured = len(self.records) - self.invalid
         found = f"{measured} of {images} images reconstructed, {contacts} in contact"
