@@ -197,7 +197,6 @@ PAGES = {
     "faults": Page({"": "tools.faults table"}, code=SERVED),
 }
 OLDER = (
-    "strangers",
     "objects",
     "drag",
     "sigma",

@@ -15,7 +15,6 @@ from tools.results import OLDER, PAGES, Page
 ROOT = results.ROOT
 ARCHIVED = "$Format" not in (ROOT / "tools/release/archive_version.txt").read_text(encoding="utf-8")
 WITHOUT_FINGERPRINT = {
-    "strangers",
     "objects",
     "drag",
     "sigma",
