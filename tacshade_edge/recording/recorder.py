@@ -4,6 +4,7 @@ and calibration.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -87,7 +88,7 @@ class RecordingWriter:
             # alone, however long no frame comes.
             fcntl.flock(self._lines[EVENTS_NAME], fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
-            self._lines[TABLE_NAME].write((",".join((*HEADER, *MORE)) + "\n").encode())
+            self._line(TABLE_NAME, ",".join((*HEADER, *MORE)))
             sync(self.folder)
 
     def add(self, frame: Frame, png: bytes) -> bool:
@@ -108,13 +109,18 @@ class RecordingWriter:
         write_whole(self.folder / name, png, sync=False)
         self._unsynced.append(self.folder / name)
         columns = f"{name},{frame.t_ns},{_columns(frame)}"
-        self._lines[TABLE_NAME].write(f"{columns},{line_crc32(columns)}\n".encode())
+        self._line(TABLE_NAME, f"{columns},{line_crc32(columns)}")
 
     def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Write an event; `t_ns` is on the frames' clock."""
-        line = json.dumps({"t_ns": t_ns, "kind": kind, "data": data}) + "\n"
         with disk_errors(self.folder):
-            self._lines[EVENTS_NAME].write(line.encode())
+            self._line(EVENTS_NAME, json.dumps({"t_ns": t_ns, "kind": kind, "data": data}))
+
+    def _line(self, name: str, text: str) -> None:
+        data = f"{text}\n".encode()
+        # A disk that fills up takes a part of a line, and only the next write would report it.
+        if self._lines[name].write(data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), self.folder / name)
 
     def sync(self) -> None:
         """Wait until everything written is on the disk;

@@ -76,8 +76,12 @@ class RunWriter:
             # The summary first: without it there is no run, whatever else a crash leaves.
             for name in (SUMMARY, TIMINGS, *_ENCODERS):
                 (folder / name).unlink(missing_ok=True)
-            for name in _ENCODERS:
-                self._streams[name] = part(folder / name).open("wb")
+            try:
+                for name in _ENCODERS:
+                    self._streams[name] = part(folder / name).open("wb")
+            except OSError:
+                self.discard()
+                raise
 
     def add(self, recorded: RecordedFrame, result: Reconstruction) -> None:
         """Write a frame."""
@@ -123,7 +127,7 @@ class RunWriter:
         for stream in self._streams.values():
             with contextlib.suppress(OSError):
                 stream.close()
-        for name in () if self._whole else (*_ENCODERS, TIMINGS):
+        for name in () if self._whole else (SUMMARY, *_ENCODERS, TIMINGS):
             for path in (part(self._folder / name), self._folder / name):
                 with contextlib.suppress(OSError):
                     path.unlink(missing_ok=True)

@@ -1,0 +1,320 @@
+"""Each system call of each file that the program promises to keep fails in turn: the old content or
+the new one is there, whole; the error is one line; and the next try succeeds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from support.failing_disk import FailingDisk, Way
+
+from tacshade_edge.calibration.files import calibration_file, objects_file, reference_file
+from tacshade_edge.calibration.files.capture_folder import CaptureFolder
+from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow, read_labels
+from tacshade_edge.calibration.files.press_table import Stated
+from tacshade_edge.calibration.files.reference_file import StoredReference
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.recording.exports.table_export import csv_export, ply_export
+from tacshade_edge.recording.recorder import RecordingWriter, png_of
+from tacshade_edge.recording.recording import RecordedFrame, Recording
+from tacshade_edge.recording.runs import RunWriter, payloads, read_summary
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.stitching.map_files import write_map
+from tacshade_edge.stitching.stitch_file import SessionInfo, StitchFile
+from tacshade_edge.stitching.stitcher import Raster
+from tacshade_edge.types import Frame, KnownObject, Reconstruction
+from tools.testbed.bumpy_surface import grid_poses, press_of
+from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
+
+pytestmark = pytest.mark.slow
+OLD, NEW = "old", "new"
+SMALL = np.zeros((8, 8), np.uint8)
+CALIBRATION = painted_calibration()
+CALLS_MAX = 200
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A file: how it is written with what, and what it is found to hold."""
+
+    write: Callable[[Path, str], None]
+    read: Callable[[Path], str]
+    news: Callable[[Path], set[str]] = lambda _: set()
+    """What may be there beside the old and the new one: what was acknowledged before the error."""
+
+
+def write_calibration(folder: Path, what: str) -> None:
+    made = replace(CALIBRATION, noise_grey=1.0 if what == OLD else 2.0)
+    calibration_file.save(folder / "cal.npz", made)
+
+
+def read_calibration(folder: Path) -> str:
+    return OLD if calibration_file.load(folder / "cal.npz").noise_grey == 1.0 else NEW
+
+
+def write_reference(folder: Path, what: str) -> None:
+    stored = StoredReference(CALIBRATION, 1 if what == OLD else 2)
+    reference_file.save(folder / "cal.reference.npz", CALIBRATION, stored)
+
+
+def read_reference(folder: Path) -> str:
+    found = reference_file.load(folder / "cal.reference.npz", CALIBRATION)
+    assert found is not None
+    return OLD if found.wall_ns == 1 else NEW
+
+
+def write_objects(folder: Path, what: str) -> None:
+    known = {"fast": (KnownObject(what, np.ones((2, 3), np.float32)),)}
+    objects_file.save(folder / "cal.objects.npz", known)
+
+
+def read_objects(folder: Path) -> str:
+    (known,) = objects_file.load(folder / "cal.objects.npz")["fast"]
+    return known.name
+
+
+def write_presses(folder: Path, what: str) -> None:
+    capture = CaptureFolder(folder)
+    if what == OLD:
+        capture.write(capture.sensor, "skin_radius_mm: 20\n")
+    capture.add(capture.taken(), SMALL, Stated(("ball", "4", "1", "0", "0")))
+
+
+def read_captured(folder: Path) -> str:
+    return OLD if len(CaptureFolder(folder).taken()) == 1 else NEW
+
+
+def write_labels(folder: Path, what: str) -> None:
+    labels = LabelFolder(folder)
+    rows = labels.rows()
+    labels.write([*rows, LabelRow(labels.add_image(SMALL), {"force_z_n": 1.0}, "1")])
+
+
+def read_labelled(folder: Path) -> str:
+    rows = read_labels(folder / "LABELS.csv", folder)
+    assert all(row.path.is_file() for row in rows)
+    return OLD if len(rows) == 1 else NEW
+
+
+def write_rest(folder: Path, what: str) -> None:
+    capture = CaptureFolder(folder)
+    capture.begin_rest()
+    for number in range(2 if what == OLD else 3):
+        capture.add_rest(number, SMALL)
+    capture.finish_rest()
+
+
+def read_rest(folder: Path) -> str:
+    # An earlier one is removed before the new one gets its name.
+    return {0: "none", 2: OLD, 3: NEW}[len(CaptureFolder(folder).rest_pictures())]
+
+
+def a_raster(what: str) -> Raster:
+    return Raster(np.full((4, 5), 1 if what == OLD else 2, np.float32), 0.0, 0.0, 0.25)
+
+
+def write_a_map(folder: Path, what: str) -> None:
+    write_map(folder, a_raster(what), {"of": what})
+
+
+def read_map(folder: Path) -> str:
+    """Without a manifest, the files may be of two maps, and are made again."""
+    if not (folder / "map.json").exists():
+        return "none"
+    what = str(json.loads((folder / "map.json").read_text())["of"])
+    with np.load(folder / "map.npz") as found:
+        np.testing.assert_array_equal(found["z_mm"], a_raster(what).z_mm)
+    return what
+
+
+FRAMES = [Frame(k, 500 + k, 0, image) for k, image in enumerate((FREE, TOUCHED, FREE))]
+
+
+def results() -> list[tuple[RecordedFrame, Reconstruction]]:
+    made = make_reconstructor(CALIBRATION, PROFILES["fast"])
+    return [(RecordedFrame(f"{each.seq}.png", each, 0), made.step(each)) for each in FRAMES]
+
+
+RESULTS = results()
+
+
+def write_run(folder: Path, what: str) -> None:
+    run = RunWriter(folder / "run", calibration_crc32=1)
+    try:
+        for each in RESULTS[: 2 if what == OLD else 3]:
+            run.add(*each)
+        run.finish({})
+    finally:
+        run.discard()
+
+
+def read_run(folder: Path) -> str:
+    # An earlier run is removed at once.
+    if not (folder / "run/summary.json").exists():
+        return "none"
+    count = len(read_summary(folder / "run"))
+    assert len(list(payloads(folder / "run", "heights.bin"))) == count
+    return OLD if count == 2 else NEW
+
+
+def write_csv(folder: Path, what: str) -> None:
+    if what == NEW:
+        with csv_export(folder / "new.csv", ()) as add:
+            for each in RESULTS:
+                add(*each)
+
+
+def read_csv(folder: Path) -> str:
+    if not (folder / "new.csv").exists():
+        return OLD
+    assert len((folder / "new.csv").read_text().splitlines()) == 1 + len(RESULTS)
+    return NEW
+
+
+def write_ply(folder: Path, what: str) -> None:
+    if what == NEW:
+        with ply_export(folder / "ply") as add:
+            for each in RESULTS:
+                add(*each)
+
+
+def read_ply(folder: Path) -> str:
+    if not (folder / "ply").exists():
+        return OLD
+    (found,) = (folder / "ply").iterdir()
+    with ply_export(folder / "again") as add:
+        add(*RESULTS[1])
+    assert found.read_bytes() == (folder / "again" / found.name).read_bytes()
+    return NEW
+
+
+KEPT = {
+    "calibration": Kept(write_calibration, read_calibration),
+    "reference": Kept(write_reference, read_reference),
+    "objects": Kept(write_objects, read_objects),
+    "presses": Kept(write_presses, read_captured),
+    "labels": Kept(write_labels, read_labelled),
+    "rest": Kept(write_rest, read_rest, lambda _: {"none"}),
+    "map": Kept(write_a_map, read_map, lambda _: {"none"}),
+    "run": Kept(write_run, read_run, lambda _: {"none"}),
+    "csv": Kept(write_csv, read_csv),
+    "ply": Kept(write_ply, read_ply),
+}
+
+
+def failing(
+    folder: Path, number: int, way: Way, work: Callable[[], object]
+) -> tuple[FailingDisk, DeviceError | None]:
+    """Do something on a disk that fails at a call; return the disk and the error."""
+    found: DeviceError | None = None
+    with pytest.MonkeyPatch.context() as patch:
+        disk = FailingDisk(folder, patch, number, way)
+        try:
+            work()
+        except DeviceError as error:
+            found = error
+    said = str(found)
+    assert found is None or ("cannot write" in said and "\n" not in said), said
+    return disk, found
+
+
+@pytest.fixture(autouse=True)
+def no_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To wait for the disk would take most of the time; whether that fails is what counts."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+
+
+@pytest.mark.parametrize("way", get_args(Way))
+@pytest.mark.parametrize("name", KEPT)
+def test_a_file_is_old_or_new(name: str, way: Way, tmp_path: Path) -> None:
+    kept, is_over = KEPT[name], False
+    (tmp_path / OLD).mkdir()
+    kept.write(tmp_path / OLD, OLD)
+    for number in range(1, CALLS_MAX):
+        folder = tmp_path / str(number)
+        shutil.copytree(tmp_path / OLD, folder)
+        disk, error = failing(folder, number, way, lambda: kept.write(folder, NEW))  # noqa: B023
+        found = kept.read(folder)
+        if error is None:
+            assert found == NEW
+        assert found in {OLD, NEW} | kept.news(folder), (number, str(error))
+        if is_over := not disk.failed:
+            break
+        if found != NEW:
+            kept.write(folder, NEW)
+            assert kept.read(folder) == NEW, number
+    assert is_over
+    assert number > 3
+
+
+@pytest.mark.parametrize("way", get_args(Way))
+def test_a_recording_keeps_the_frames_that_it_took(way: Way, tmp_path: Path) -> None:
+    for number in range(1, CALLS_MAX):
+        folder, taken = tmp_path / str(number), 0
+
+        def record() -> None:
+            nonlocal taken
+            writer = RecordingWriter(folder)  # noqa: B023
+            try:
+                writer.begin("sensor_id: left\n", b"a calibration")
+                for each in FRAMES:
+                    writer.event(each.t_ns, "mark", {})
+                    taken += writer.add(each, png_of(each.image))
+                writer.finish({})
+            finally:
+                with suppress(OSError):
+                    writer.close()
+
+        disk, error = failing(tmp_path, number, way, record)
+        if taken:
+            recording = Recording(folder)
+            found = list(iter(recording.next_entry, None))
+            assert taken <= len(found) <= taken + 1, (number, str(error))
+            for entry in found:
+                np.testing.assert_array_equal(entry.picture(), FRAMES[entry.seq].image)
+        if not disk.failed:
+            break
+    assert not disk.failed
+    assert number > 20
+
+
+@pytest.mark.parametrize("way", get_args(Way))
+def test_a_session_keeps_the_presses_that_it_took(way: Way, tmp_path: Path) -> None:
+    poses = grid_poses()[:3]
+    points = [press_of(pose, k) for k, pose in enumerate(poses)]
+    for number in range(1, CALLS_MAX):
+        folder, taken = tmp_path / str(number), 0
+
+        def press() -> None:
+            nonlocal taken
+            file = StitchFile.create(folder, SessionInfo("one", 5, 77, 20.0))  # noqa: B023
+            with closing(file):
+                for each, pose in zip(points, poses, strict=True):
+                    file.append(each, pose)
+                    taken += 1
+                file.end()
+
+        disk, _ = failing(tmp_path, number, way, press)
+        if (folder / "session.json").exists():
+            file, found = StitchFile.resume(folder)
+            assert taken <= len(found) <= taken + 1, number
+            for (one, _), true in zip(found, points, strict=False):
+                np.testing.assert_array_equal(one.points_mm, true.points_mm)
+            file.append(points[0], poses[0])
+            file.close()
+            same = StitchFile.resume(folder)[1]
+            assert len(same) == len(found) + 1
+        if not disk.failed:
+            break
+    assert not disk.failed
+    assert number > 8
