@@ -2,5 +2,6 @@
 
 In: paths, bytes, arrays. Out: images, meshes, tables, pictures for people.
 Threads: none.
-Other rooms use: `atomic_files`, `drawing`, `image_bytes`, `images`, `meshes`, `npz`, `tables`.
+Other rooms use: `atomic_files`, `drawing`, `image_bytes`, `images`, `meshes`, `npz`, `tables`,
+    `targets`.
 """

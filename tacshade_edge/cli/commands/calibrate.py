@@ -5,11 +5,11 @@ or renews a reference.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,15 +35,23 @@ from tacshade_edge.calibration.reference.visible_circle import CircleNotFoundErr
 from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.finding_options import WITH_OPTIONS
+from tacshade_edge.cli.shared.fit_option import (
+    check_fit,
+    fit_report,
+    kept_until_written,
+    read_touches,
+)
 from tacshade_edge.cli.shared.label_option import (
+    check_labelled,
     learn_touches,
     touch_models,
     touch_report,
     touch_warnings,
 )
-from tacshade_edge.cli.shared.options import add_flag, add_option, need
+from tacshade_edge.cli.shared.options import add_flag, add_option
 from tacshade_edge.cli.shared.rest_option import (
     add_rest,
+    check_rest,
     rest_lines,
     rest_of,
     rest_report,
@@ -53,8 +61,8 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.drawing import reference_picture, write_picture
 from tacshade_edge.files.images import images_in, read_image, size_text
+from tacshade_edge.files.targets import check_file, one_at_a_time
 from tacshade_edge.lab.simulator.render import project
-from tacshade_edge.sensor.depth.learned import FLAT_DEG
 from tacshade_edge.sensor.frame_check import camera_drift
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.inference.network import TouchResult, load_networks, report_lines
@@ -120,26 +128,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit or re-zero, write the calibration file, and print its quality."""
     _check_options(args)
-    if args.rezero is not None:
-        return _rezero(args)
+    _check_outputs(args)
+    with one_at_a_time(args.out, "calibrate", "fitting into" if args.fit else "writing"):
+        return _make(args) if args.rezero is None else _rezero(args)
+
+
+def _make(args: argparse.Namespace) -> int:
     args.reference = images_in(args.reference)
     sensor, references = read_sensor(args.sensor), _read_references(args.reference)
     if args.fit:
-        _check_fit(args.sensor, sensor)
+        check_fit(args.sensor, sensor, args.out)
     # Whatever is to be read is read before the minutes that a fit takes.
-    touches = _read_touches(args.touches, references[0]) if args.touches else []
+    touches = read_touches(args.touches, references[0]) if args.touches else []
     labelled = read_labels(args.labels, args.labels.parent) if args.labels else []
     presses, notes = _presses(args, sensor.skin_radius_mm) if args.presses else ([], ())
-    result = _calibrate(args, sensor, references, presses)
-    fitted = _fit(args.out, sensor, result, touches) if args.fit else None
-    calibration = fitted.calibration if fitted else result.calibration
-    touch = learn_touches(calibration, args.labels, labelled) if labelled else []
-    # Learnt with the fitted networks, whose heights at rest are others than as shipped.
-    rest = rest_of(args, calibration, references) if args.rest else None
-    calibration = replace(
-        calibration, touch=touch_models(touch) if touch else {}, rest=rest.limits if rest else {}
-    )
-    stored = calibration_file.save(args.out, calibration, inputs_of(sensor, references, presses))
+    if labelled:
+        check_labelled(args.labels, labelled, size_text(references[0]))
+    if args.rest:
+        check_rest(args.rest)
+    with kept_until_written(args.out) if args.fit else contextlib.nullcontext() as kept:
+        result = _calibrate(args, sensor, references, presses)
+        fitted = kept.run(sensor, result, touches) if kept else None
+        calibration = fitted.calibration if fitted else result.calibration
+        touch = learn_touches(calibration, args.labels, labelled) if labelled else []
+        # Learnt with the fitted networks, whose heights at rest are others than as shipped.
+        rest = rest_of(args, calibration, references) if args.rest else None
+        calibration = replace(
+            calibration,
+            touch=touch_models(touch) if touch else {},
+            rest=rest.limits if rest else {},
+        )
+        inputs = inputs_of(sensor, references, presses)
+        stored = calibration_file.save(args.out, calibration, inputs)
     made = _Made(calibration, result, fitted, touch, rest)
     found = (sentence(warning, WITH_OPTIONS) for warning in result.warnings)
     warnings = (*notes, *found, *(touch_warnings(touch) if touch else ()))
@@ -176,15 +196,10 @@ def _check_options(args: argparse.Namespace) -> None:
         args.parser.error("--touches has no effect without --fit")
 
 
-def _check_fit(path: Path, sensor: StatedSensor) -> None:
-    """Refuse a sensor that no fit can simulate, or a missing extra. Raises ConfigError."""
-    if sensor.visible_half_angle_deg < FLAT_DEG:
-        raise ConfigError(
-            f"--fit: {path} states a pad or a dome of less than {FLAT_DEG:g} degrees, "
-            "expected a rounder one: a fit simulates no twin of a flat skin"
-        )
-    # Large, so an extra; asked for before minutes of work.
-    need("--fit", "fit", "torch", "numba")
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Refuse files that could not be written. Raises DeviceError."""
+    for path in filter(None, (args.out, args.plot)):
+        check_file(path)
 
 
 def _calibrate(
@@ -217,18 +232,6 @@ def _calibrate(
         places = places_px(made.geometry, result.presses)
         _plot(args.plot, reference_picture(made.reference_grey, made, places))
     return result
-
-
-def _fit(
-    out: Path, sensor: StatedSensor, result: CalibrationResult, touches: Sequence[U8]
-) -> FitResult:
-    """Train the networks on a simulated twin; finished steps stay beside `out`."""
-    from tacshade_edge.lab.fitting.fit import fit
-
-    say = partial(print, file=sys.stderr, flush=True)
-    # Steps of an interrupted fit are found by the name of its result.
-    folder = out.with_name(f"{out.name}.fit")
-    return fit(result.calibration, result.presses, say, sensor.print_mm, folder, touches=touches)
 
 
 def _plot(path: Path, picture: U8) -> None:
@@ -268,6 +271,8 @@ def _rezero(args: argparse.Namespace) -> int:
     args.reference = images_in(args.reference)
     old, inputs = loading.load(args.rezero), calibration_file.inputs_in(args.rezero)
     images = _read_references(args.reference)
+    if args.rest:
+        check_rest(args.rest)
     try:
         names = list(map(str, args.reference))
         renewed = rezero(old, images, names, allow_loaded=args.allow_loaded_reference)
@@ -312,20 +317,6 @@ def _read_references(paths: Sequence[Path]) -> list[U8]:
     return references
 
 
-def _read_touches(paths: Sequence[Path], reference: U8) -> list[U8]:
-    made = []
-    for path in images_in(paths):
-        try:
-            image = read_image(path)
-        except DecodeError as error:
-            raise ConfigError(f"--touches: {error}") from None
-        if size_text(image) != size_text(reference):
-            expected = f"expected {size_text(reference)} px as in the references"
-            raise ConfigError(f"--touches: {path}: found {size_text(image)} px, {expected}")
-        made.append(image)
-    return made
-
-
 def _print(
     args: argparse.Namespace, stored: Calibration, warnings: Sequence[str], more: dict[str, Any]
 ) -> None:
@@ -362,7 +353,7 @@ def _report(made: _Made) -> dict[str, Any]:
         "verdict_line": sentence(quality.line, WITH_OPTIONS),
         "to_do": [sentence(advice, WITH_OPTIONS) for advice in quality.advice],
     }
-    report |= _fit_report(made.fitted) if made.fitted else {}
+    report |= fit_report(made.fitted) if made.fitted else {}
     report |= touch_report(made.touch) if made.touch else {}
     return report | (rest_report(made.rest) if made.rest else {})
 
@@ -386,10 +377,3 @@ def _print_lines(made: _Made) -> None:
     to_do = (sentence(advice, WITH_OPTIONS) for advice in quality.advice)
     for advice in (*(fitted.advice if fitted else ()), *to_do):
         print(f"  to do: {advice}")
-
-
-def _fit_report(fitted: FitResult) -> dict[str, Any]:
-    reports = {report.name: asdict(report) | {"kept": report.kept} for report in fitted.networks}
-    for report in reports.values():
-        del report["name"]
-    return {"fitted": reports, "fit_found": list(fitted.found), "fit_to_do": list(fitted.advice)}

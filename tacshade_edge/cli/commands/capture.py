@@ -17,7 +17,7 @@ import yaml
 from tacshade_edge.calibration.files.capture_folder import REFERENCES, CaptureFolder
 from tacshade_edge.calibration.files.indenter_file import read_indenters, write_printables
 from tacshade_edge.calibration.files.labels import LABELS, LabelFolder
-from tacshade_edge.calibration.files.press_table import BALL, read_plan
+from tacshade_edge.calibration.files.press_table import BALL, press_rows, read_plan
 from tacshade_edge.calibration.files.sensor_file import check_value, read_sensor
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
@@ -34,6 +34,7 @@ from tacshade_edge.cli.shared.options import NEXT_FIT, add_option, add_sensor
 from tacshade_edge.doctor.camera_check import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files.targets import check_folder, one_at_a_time
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.ports import check_serial, make_serial_port
@@ -106,14 +107,23 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--scale: found no --labels DIR, expected both options")
     if args.labels is not None and args.plan:
         raise ConfigError("--labels: found --plan too, expected --labels without it")
-    terminal = Terminal(0, sys.stdout)
     folder = CaptureFolder(args.labels or args.folder)
     source, serial = _source(args, folder)
+    _check(args, folder)
     # Made only once the camera is known: a mistake in the options leaves no folder behind.
     folder.make()
+    # Two that take pictures in turn would overwrite each other's.
+    with one_at_a_time(folder.path, "capture", "filling"):
+        return _take(args, folder, source, serial)
+
+
+def _take(
+    args: argparse.Namespace, folder: CaptureFolder, source: Source, serial: Serial | None
+) -> int:
+    terminal = Terminal(0, sys.stdout)
     try:
-        sensor = _sensor(folder, terminal)
         indenters = read_indenters(folder.indenters) if folder.indenters.exists() else {}
+        sensor = _sensor(folder, terminal)
         plan = list(read_plan(args.plan, indenters, sensor.skin_radius_mm)) if args.plan else []
         with (
             _camera(folder, source, serial, terminal, sensor) as live,
@@ -142,6 +152,16 @@ def run(args: argparse.Namespace) -> int:
         raise DeviceError(f"{error}; {again}", code=error.code) from None
     _say_next(folder, terminal, labels=args.labels is not None)
     return 0
+
+
+def _check(args: argparse.Namespace, folder: CaptureFolder) -> None:
+    """Refuse a folder that cannot be filled, or a plan that is none, before the first question.
+
+    Raises ConfigError and DeviceError.
+    """
+    check_folder(folder.path, (folder.settings.name, folder.presses.name, LABELS))
+    if args.plan:
+        press_rows(args.plan)
 
 
 @contextlib.contextmanager

@@ -30,6 +30,7 @@ from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.tail import check_tail, measure_tail
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.files.targets import check_file
 from tacshade_edge.quoting import escaped
 from tacshade_edge.quoting import shown as shown_path
 from tacshade_edge.reasons import Reason
@@ -80,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     _check_options(args)
     if args.images:
         return _judge(_calibration(args), args.profile, args.images, as_json=args.json)
+    if args.bundle is not None:
+        check_file(args.bundle)
     findings, seen, machine = [], Seen(), Machine()
     found = (
         check_tail(machine, measure_tail())

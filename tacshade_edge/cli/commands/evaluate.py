@@ -73,6 +73,7 @@ def _simulated(args: argparse.Namespace) -> int:
         args.parser.error("--references: found 0, expected at least 1")
     names, profiles = args.sensors or study.sensors(WORKING_SENSORS), _profiles(args)
     objects, references = args.objects or tuple(OBJECTS), args.references or REFERENCES
+    study.check_out(args, "evaluation")
     study.make_folder(args.out)
     with workers(args.cluster) as pool:
         rows, found = evaluate(
@@ -98,6 +99,7 @@ def _simulated(args: argparse.Namespace) -> int:
 
 
 def _own(args: argparse.Namespace) -> int:
+    study.check_out(args, "evaluation")
     calibration, cases, mistakes = study.own_images(args)
     rows = score_cases(calibration, _profiles(args), cases)
     if not rows:
@@ -131,6 +133,7 @@ def _labelled(args: argparse.Namespace) -> int:
         args.parser.error("--labels requires --images DIR and --calibration CAL.npz")
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
     calibration = loading.load(args.calibration, store=False)
+    study.check_out(args, "labels")
     study.make_folder(args.out)
     # One for all frames: a network is loaded once.
     made = {profile: reconstructor(calibration, profile) for profile in profiles}

@@ -11,7 +11,13 @@ from tacshade_edge.cli.shared.options import add_option, add_profile, warn
 from tacshade_edge.daemon.playback import PlaybackProgress, replay
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import counted
-from tacshade_edge.recording.exports.table_export import Add, csv_export, ply_export, write_hand_csv
+from tacshade_edge.recording.exports.table_export import (
+    Add,
+    check_new,
+    csv_export,
+    ply_export,
+    write_hand_csv,
+)
 from tacshade_edge.recording.mcap import is_mcap, require_mcap
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_of
@@ -56,7 +62,11 @@ def run(args: argparse.Namespace) -> int:
         if line:
             warn(f"{path}: {line}")
     content = content_of(path)
-    calibration, out = _calibration(path, args.calibration), args.out or _beside(path, args.to)
+    if args.to == "mcap":
+        require_mcap()
+    out = args.out or _beside(path, args.to)
+    check_new(out)
+    calibration = _calibration(path, args.calibration)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     progress = PlaybackProgress()
     with _export(args.to, out, calibration, args.profile, content) as add:
@@ -86,6 +96,7 @@ def _export_hand(args: argparse.Namespace) -> int:
         )
     from tacshade_edge.hand.hand_recordings import read_hand
 
+    check_new(args.out)
     if args.to == "mcap":
         require_mcap()
         from tacshade_edge.recording.exports.mcap_export import write_hand_mcap
@@ -114,7 +125,6 @@ def _export(
         )
     if to == "ply":
         return ply_export(out)
-    require_mcap()
     from tacshade_edge.hand.hand_recordings import recorded_settings
     from tacshade_edge.recording.exports.mcap_export import mcap_export
 

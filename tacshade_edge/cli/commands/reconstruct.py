@@ -20,6 +20,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.drawing import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
 from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.files.targets import check_folder
 from tacshade_edge.pipeline.ledger import StageTimer
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import ReasonCode, code_of, text_of
@@ -62,6 +63,9 @@ def run(args: argparse.Namespace) -> int:
     images = images_in(args.images)
     _check_names(images)
     calibration = loading.load(args.calibration)
+    ends = (".npz", ".png") if args.plot else (".npz",)
+    named = (f"{path.stem}{end}" for path in images for end in ends)
+    check_folder(args.out, (_SUMMARY, SHEET, *named))
     done = _Done()
     with disk_errors(args.out):
         args.out.mkdir(parents=True, exist_ok=True)

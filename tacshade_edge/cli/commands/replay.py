@@ -21,12 +21,23 @@ from tacshade_edge.cli.shared.options import (
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.daemon.playback import Deliver, Playback, PlaybackProgress, ReplayLink, replay
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.targets import check_folder, one_at_a_time
 from tacshade_edge.mqtt import links
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.quoting import counted, shown
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_of
-from tacshade_edge.recording.runs import RunWriter, figures, first_difference
+from tacshade_edge.recording.runs import (
+    CLOUDS,
+    HEIGHTS,
+    SHEARS,
+    SUMMARY,
+    TIMINGS,
+    RunWriter,
+    figures,
+    first_difference,
+    read_summary,
+)
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
@@ -145,6 +156,7 @@ def _replay(args: argparse.Namespace) -> int:
     calibration = loading.of_recording(args.input) if given is None else loading.load(given)
     # `_mistake` has checked it.
     assert calibration is not None
+    _check_runs(args)
     reconstructor = make_reconstructor(calibration, PROFILES[args.profile])
     # SIGINT too: a shell's background jobs start with it ignored.
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -160,6 +172,7 @@ def _replay(args: argparse.Namespace) -> int:
             if args.play:
                 played = link.playback = _playback(args, link)
         if args.out is not None:
+            stack.enter_context(one_at_a_time(args.out, "replay", "writing"))
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             # Without `finish`, as after an error, nothing of the run stays: half a run would
             # compare as one that differs.
@@ -183,6 +196,16 @@ def _replay(args: argparse.Namespace) -> int:
         # What never ends by itself is not cut short by Ctrl-C.
         return EXIT_OK if args.loop == 0 or args.play else EXIT_INTERRUPTED
     return EXIT_FAILED if progress.undecodable else EXIT_OK
+
+
+def _check_runs(args: argparse.Namespace) -> None:
+    """Refuse a run to compare with that is none, and a folder for a run that cannot be written;
+    either would cost a whole replay. Raises ConfigError, DecodeError and DeviceError.
+    """
+    if args.against is not None:
+        read_summary(args.against)
+    if args.out is not None:
+        check_folder(args.out, (HEIGHTS, CLOUDS, SHEARS, SUMMARY, TIMINGS))
 
 
 def _opened(args: argparse.Namespace) -> Recording:

@@ -22,6 +22,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.images import png
+from tacshade_edge.files.targets import check_folder
 from tacshade_edge.lab.parallel import reported_map, workers
 from tacshade_edge.lab.simulator import pad as pads
 from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
@@ -148,6 +149,7 @@ def run(args: argparse.Namespace) -> int:
         need("--cluster", "cluster", "dask", "distributed")  # before the other images
     model = _model(args.model, args.sensor_seed)
     model = flattened(model) if args.skin == "pad" else model
+    _check(args)
     sensor = SimulatedSensor(model)
     with disk_errors(Path()):
         if args.calibration_set is not None:
@@ -161,6 +163,36 @@ def run(args: argparse.Namespace) -> int:
         if args.pad is not None:
             write_pad(model, args.pad, args.pad_step, _PAD_DEPTH_MM, args.seed, args.cluster)
     return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what would end the command after some of its work: unknown objects, a step that is too
+    short or too long, folders that cannot be written. Raises ConfigError and DeviceError.
+    """
+    for name in _names(args) if args.out is not None else ():
+        if name not in OBJECTS and name != _NO_OBJECT:
+            raise ConfigError(
+                f"--objects: found {name!r}, expected {_NO_OBJECT!r} or one of {', '.join(OBJECTS)}"
+            )
+    if args.pad is not None:
+        _check_step(args.pad_step)
+    for folder, names in (
+        (args.calibration_set, ("SENSOR.yaml", "PRESSES.csv", "config.yaml")),
+        (args.out, ("scenes.csv",)),
+        (args.pad, ("SENSOR.yaml", "POSES.csv", "POSES_NOISY.csv", "PAD.npz")),
+    ):
+        if folder is not None:
+            check_folder(folder, names)
+
+
+def _names(args: argparse.Namespace) -> list[str]:
+    return [name.strip() for name in args.objects.split(",")]
+
+
+def _check_step(step_mm: float) -> None:
+    if not _PAD_STEP_LEAST_MM <= step_mm <= _PAD_STEP_MOST_MM:
+        expected = f"expected {_PAD_STEP_LEAST_MM:g} to {_PAD_STEP_MOST_MM:g} mm"
+        raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, {expected}")
 
 
 def _model(name: str, sensor_seed: int | None) -> SensorModel:
@@ -220,12 +252,6 @@ def _write_calibration_set(sensor: SimulatedSensor, folder: Path, count: int, se
 
 
 def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
-    names = [name.strip() for name in args.objects.split(",")]
-    for name in names:
-        if name not in OBJECTS and name != _NO_OBJECT:
-            raise ConfigError(
-                f"--objects: found {name!r}, expected {_NO_OBJECT!r} or one of {', '.join(OBJECTS)}"
-            )
     nowhere = [(0.0, 0.0)]
     places, tilts, drags = (given or nowhere for given in (args.position, args.tilt, args.drag))
     ways = itertools.product(args.depth, places, args.rotation, tilts, drags, args.twist)
@@ -235,7 +261,7 @@ def _write_scenes(sensor: SimulatedSensor, args: argparse.Namespace) -> None:
     ]
     scenes = [
         (name, each)
-        for name in names
+        for name in _names(args)
         for each in (pressed if name != _NO_OBJECT else [(0.0,) * len(PRESS_KEYS)])
     ]
     args.out.mkdir(parents=True, exist_ok=True)
@@ -302,9 +328,7 @@ def write_pad(
     Raises OSError.
     """
     pad, apex_mm = pads.touchpad(), model.geometry.apex_z_mm
-    if not _PAD_STEP_LEAST_MM <= step_mm <= _PAD_STEP_MOST_MM:
-        expected = f"expected {_PAD_STEP_LEAST_MM:g} to {_PAD_STEP_MOST_MM:g} mm"
-        raise ConfigError(f"--pad-step: found a step of {step_mm:g} mm, {expected}")
+    _check_step(step_mm)
     poses = pads.scan(pad, step_mm, depth_mm, apex_mm)
     folder.mkdir(parents=True, exist_ok=True)
     # Without flange_T_sensor: sensor and flange coincide, as in the poses below.

@@ -16,6 +16,7 @@ from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.targets import check_folder
 from tacshade_edge.lab.studies.stitch.map_presses import (
     PRESSES_MAX,
     MapPress,
@@ -49,6 +50,7 @@ TILES, MEAN = "tiles", "mean"
 PRESSES_MIN = 12
 START_MM, START_DEG = 15.0, 15.0
 """Largest plausible distance and rotation from the start; a pose found farther away is wrong."""
+_MAP_FILES = ("map.npz", "map.ply", "map.png", "preview.png", "comparison.png", "map.json")
 _PLAN = "(see the plan in docs/how-to/stitching.md)"
 
 
@@ -98,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     calibration = loading.load(args.calibration)
     # The truth is read first: a mistake in it should not wait for the presses.
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
+    check_folder(args.out, (FLANGE,) if args.find_flange else _MAP_FILES)
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
     apex_mm = calibration.geometry.apex_z_mm
     if args.find_flange and args.recording is not None:

@@ -24,6 +24,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.cli.shared.touches import TOO_LIGHT, touched_images, without_names
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.images import images_in
+from tacshade_edge.files.targets import check_file, one_at_a_time
 from tacshade_edge.library.frames import open as open_camera
 from tacshade_edge.library.result import Result, Results
 from tacshade_edge.library.subscriber import listen
@@ -80,12 +81,19 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"IMG: found {found}, expected {expected} here")
     calibration = Path(document.settings.calibration if document else args.calibration)
     path = objects_file.path_beside(calibration)
-    if args.forget:
-        return _forget(path, name)
-    if document is not None:
+    check_file(path)
+    if document is not None and not args.forget:
         return _live(document, path, name, args.touches)
-    profiles = LADDER if args.profile is None else (args.profile,)
-    return _from_images(calibration, path, name, profiles, images_in(args.images))
+    # From the reading to the writing: two at once would each store what the other did not know.
+    with _alone(path):
+        if args.forget:
+            return _forget(path, name)
+        profiles = LADDER if args.profile is None else (args.profile,)
+        return _from_images(calibration, path, name, profiles, images_in(args.images))
+
+
+def _alone(path: Path) -> contextlib.AbstractContextManager[None]:
+    return one_at_a_time(path, "teach", "changing")
 
 
 def _forget(path: Path, name: str) -> int:
@@ -125,6 +133,8 @@ def _from_images(
 
 def _live(document: Document, path: Path, name: str, wanted: int) -> int:
     """Take one description from each contact, and store it at once."""
+    # A damaged file would be found only after the first touch.
+    objects_file.load(path)
     with contextlib.closing(_results(document)) as results:
         print(
             f"touch {name} {counted(wanted, 'time')}, each time in another place or turn",
@@ -132,8 +142,10 @@ def _live(document: Document, path: Path, name: str, wanted: int) -> int:
         )
         for taken, (profile, description, depth_mm) in enumerate(_described(results), 1):
             # Read anew each time: touches take minutes, in which somebody else may teach as well.
-            known = objects_file.taught(objects_file.load(path), profile, name, description[None])
-            objects_file.save(path, known)
+            with _alone(path):
+                before = objects_file.load(path)
+                known = objects_file.taught(before, profile, name, description[None])
+                objects_file.save(path, known)
             print(f"touch {taken} of {wanted}: {depth_mm:.2f} mm deep", flush=True)
             if taken == wanted:
                 _report(path, name, wanted, known)

@@ -36,6 +36,7 @@ from tacshade_edge.lab.studies.tradeoff.judging import (
     Setting,
     Simulation,
     judge,
+    outputs_of,
     settings,
     simulated,
 )
@@ -93,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
     drawn = args.plot and study.will_draw(args, "tradeoff.png")
     profiles = tuple(dict.fromkeys(args.profile or PROFILES))
     mistakes: list[str] = []
+    study.check_out(args, "tradeoff", ("tradeoff.png",) if args.plot else ())
+    every = _outputs_of(args, profiles)
     # A calibration alone gives a twin; only with images it is judged on those.
     if args.images is not None and study.is_own(args, ("sensors", "objects", "cluster")):
         calibration, cases, mistakes = study.own_images(args)
@@ -104,11 +107,6 @@ def run(args: argparse.Namespace) -> int:
     if not any(each.touched for each in judged):
         expected = "found no image of a contact to score, expected at least one with a truth file"
         raise ConfigError(f"{args.images}: {expected}")
-    every = tuple(
-        name for name in OUTPUTS if any(name in each.outputs(calibration) for each in some)
-    )
-    if missing := [name for name in args.outputs or () if name not in every]:
-        args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
     asked = [args.outputs] if args.outputs else [*((name,) for name in every), every]
     rows, busy = measure(some, asked, calibration, judged, Progress())
     # Figures are processor time, which another program's load does not change, but a table should
@@ -135,6 +133,16 @@ def run(args: argparse.Namespace) -> int:
         else:
             warn(text)
     return 0 if holds and not mistakes else 1
+
+
+def _outputs_of(args: argparse.Namespace, profiles: Sequence[str]) -> tuple[str, ...]:
+    """The outputs that profiles have; a usage error if one was asked for that none has."""
+    # Simulated sensors have no touch model.
+    touch = () if args.calibration is None else loading.load(args.calibration).touch
+    found = {name for profile in profiles for name in outputs_of(profile, touch)}
+    if missing := [name for name in args.outputs or () if name not in found]:
+        args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
+    return tuple(name for name in OUTPUTS if name in found)
 
 
 def _simulated(

@@ -22,15 +22,13 @@ _SHOWN = 3
 """Frames named in a warning; more would hide the other warnings."""
 
 
-def learn_touches(
-    calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]
-) -> list[TouchResult]:
-    """Learn a touch model per profile.
+def check_labelled(table: Path, labelled: Sequence[LabelledImage], size: str) -> None:
+    """Refuse what `learn_touches` would refuse only after minutes: too few rows of every quantity,
+    and images that are unreadable or not of the references' `size`.
 
-    Raises ConfigError for an unreadable image or too few rows of every quantity.
+    Raises ConfigError.
     """
     counts = {name: sum(name in row.known for row in labelled) for name in QUANTITIES}
-    # Found before the images are read, which takes minutes.
     if max(counts.values()) < LEAST_ROWS:
         found = ", ".join(
             f"{counted(count, 'row')} with {name}" for name, count in counts.items() if count
@@ -38,6 +36,19 @@ def learn_touches(
         raise ConfigError(
             f"{table}: found {found}, expected at least {LEAST_ROWS} rows with the same quantity"
         )
+    progress = Progress()
+    for _ in _frames(labelled, size, partial(progress, "labelled frames")):
+        pass
+    progress.end()
+
+
+def learn_touches(
+    calibration: Calibration, table: Path, labelled: Sequence[LabelledImage]
+) -> list[TouchResult]:
+    """Learn a touch model per profile.
+
+    Raises ConfigError for an unreadable image or too few usable rows of every quantity.
+    """
     size = f"{calibration.image_width_px}x{calibration.image_height_px}"
     results, progress = [], Progress()
     for profile in PROFILES.values():

@@ -47,6 +47,18 @@ def _rate(text: str) -> float:
     return rate
 
 
+def check_rest(path: Path) -> None:
+    """Refuse pictures that `rest_of` could read only after minutes of other work to no avail.
+    Raises ConfigError.
+    """
+    try:
+        found = sum(1 for _ in _images(path))
+        if not found:
+            raise ConfigError("found no image, expected pictures of the untouched skin")
+    except ConfigError as error:
+        raise ConfigError(f"--rest: {path}: {error}") from None
+
+
 def rest_of(
     args: argparse.Namespace, calibration: Calibration, references: Sequence[U8]
 ) -> LearntRest:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.images import images_in
+from tacshade_edge.files.targets import check_folder
 from tacshade_edge.lab.simulator.press import OBJECTS
 from tacshade_edge.lab.studies.evaluate.work import Case, SensorName, read_images
 from tacshade_edge.sensor.profiles import PROFILES
@@ -133,6 +134,14 @@ def publish(
     if args.out:
         for end, text in files.items():
             write(args.out / f"{stem}{end}", text.encode())
+
+
+def check_out(args: argparse.Namespace, stem: str, more: Sequence[str] = ()) -> None:
+    """Refuse an output folder in which `publish` could not write, or files of the names `more`.
+    Raises DeviceError.
+    """
+    if args.out is not None:
+        check_folder(args.out, [*(f"{stem}{end}" for end in (".md", ".csv", ".json")), *more])
 
 
 def make_folder(folder: Path | None) -> None:

@@ -6,7 +6,6 @@ import contextlib
 import csv
 import json
 import math
-import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Final
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors, part, require_free, sync
 from tacshade_edge.files.meshes import ply
+from tacshade_edge.files.targets import check_folder, one_at_a_time, written
 from tacshade_edge.reasons import ReasonCode, code_of
 from tacshade_edge.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
@@ -42,10 +42,8 @@ _MOTION: Final = [
 ]
 
 
-@contextlib.contextmanager
-def new_path(path: Path) -> Iterator[Path]:
-    """The ``.part`` of a new file or folder, which gets its final name when the block ends;
-    an error removes it.
+def check_new(path: Path) -> None:
+    """Refuse the path of a new file or folder that `new_path` could not make now.
 
     Raises ConfigError if the name exists, and DeviceError if the disk is nearly full
     or cannot be written.
@@ -54,12 +52,28 @@ def new_path(path: Path) -> Iterator[Path]:
         raise ConfigError(
             f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
         )
-    # A link to a name that is free: the file gets that name.
-    path = Path(os.path.realpath(path)) if path.is_symlink() else path
-    partial = part(path)
+    path = written(path)
+    check_folder(path.parent)
     with disk_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        part(path).exists()  # raises OSError for too long a name
         require_free(path.parent)
+
+
+@contextlib.contextmanager
+def new_path(path: Path) -> Iterator[Path]:
+    """The ``.part`` of a new file or folder, which gets its final name when the block ends;
+    an error removes it.
+
+    Raises ConfigError if the name exists, and DeviceError if the disk is nearly full
+    or cannot be written.
+    """
+    check_new(path)
+    path = written(path)
+    partial = part(path)
+    with disk_errors(path), contextlib.ExitStack() as stack:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Two would write the same incomplete file.
+        stack.enter_context(one_at_a_time(path, "export", "writing"))
         # What a write that was killed left behind.
         _remove(partial)
         try:

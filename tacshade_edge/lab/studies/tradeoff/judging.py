@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,10 +118,15 @@ class Setting:
 
     def outputs(self, calibration: Calibration) -> tuple[str, ...]:
         """The outputs that it can have."""
-        missing = set() if self.profile in calibration.touch else {"touch"}
-        if PROFILES[self.profile].network is None:
-            missing |= {"shear", "sigma"}
-        return tuple(name for name in OUTPUTS if name not in missing)
+        return outputs_of(self.profile, calibration.touch)
+
+
+def outputs_of(profile: str, touch: Collection[str]) -> tuple[str, ...]:
+    """The outputs that a profile can have, if those in `touch` have a touch model."""
+    missing = set() if profile in touch else {"touch"}
+    if PROFILES[profile].network is None:
+        missing |= {"shear", "sigma"}
+    return tuple(name for name in OUTPUTS if name not in missing)
 
 
 def settings(profiles: Sequence[str], calibration: Calibration) -> tuple[Setting, ...]:

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.files.targets import check_file, check_folder, one_at_a_time
+from tacshade_edge.reasons import ReasonCode
+
+
+def test_what_can_be_written_is_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    check_file(path)
+    path.write_bytes(b"old")
+    check_file(path)
+    check_folder(tmp_path / "x" / "y", ["a.npz"])
+    check_folder(tmp_path, ["a.npz"])
+    assert [each.name for each in tmp_path.iterdir()] == ["a.npz"]
+    assert path.read_bytes() == b"old"
+    (tmp_path / "link").symlink_to("nowhere")
+    check_file(tmp_path / "link")
+    (tmp_path / "link").unlink()
+
+
+def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "old.part").mkdir()
+    (tmp_path / "link").symlink_to("none/a")
+    for path, said in (
+        (tmp_path, "Is a directory"),
+        (Path("/"), "Is a directory"),
+        (tmp_path / "file/a", "Not a directory"),
+        (tmp_path / "none/a", "No such file or directory"),
+        (tmp_path / "link", "No such file or directory"),
+        (tmp_path / "pipe", "found no regular file"),
+        (tmp_path / "old", "Is a directory"),
+        (tmp_path / ("a" * 252), "File name too long"),
+    ):
+        with pytest.raises(DeviceError, match=f"cannot write it: {said}") as caught:
+            check_file(path)
+        assert caught.value.code == ReasonCode.DISK
+    for folder in (tmp_path / "file", tmp_path / "file/a", Path("/proc/none")):
+        with pytest.raises(DeviceError, match="cannot write it"):
+            check_folder(folder)
+    with pytest.raises(DeviceError, match="pipe: cannot write it: found no regular file"):
+        check_folder(tmp_path, ["a", "pipe"])
+
+
+def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tacshade_edge.files.targets.WORK_FLOOR_BYTES", 2**62)
+    for check in (check_file, check_folder):
+        with pytest.raises(DeviceError, match=r"MiB free on the disk, expected at least") as caught:
+            check(tmp_path / "a")
+        assert caught.value.code == ReasonCode.DISK_FULL
+
+
+def test_one_writes_and_another_reads_who_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "cal.npz"
+    with one_at_a_time(path, "calibrate", "fitting into"):
+        said = rf"^another calibrate \(pid {os.getpid()}\) is fitting into {re.escape(str(path))}"
+        for _ in range(2):
+            with (
+                pytest.raises(DeviceError, match=rf"{said} since \d\d:\d\d; wait") as caught,
+                one_at_a_time(path, "calibrate", "writing"),
+            ):
+                pass
+            assert caught.value.code == ReasonCode.IN_USE
+        with one_at_a_time(tmp_path / "other.npz", "calibrate", "writing"):
+            pass
+        (tmp_path / "link").symlink_to(path)
+        with (
+            pytest.raises(DeviceError, match=said),
+            one_at_a_time(tmp_path / "link", "calibrate", "writing"),
+        ):
+            pass
+        (tmp_path / "link").unlink()
+    assert not list(tmp_path.iterdir())
+    with one_at_a_time(tmp_path, "capture", "filling"):  # of a folder it lies inside
+        assert len(list(tmp_path.iterdir())) == 1
+    assert not list(tmp_path.iterdir())
+    with (
+        pytest.raises(DeviceError, match="cannot write it"),
+        one_at_a_time(tmp_path / "none/a", "calibrate", "writing"),
+    ):
+        pass
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from tacshade_edge.files.targets import one_at_a_time
+with one_at_a_time(Path(sys.argv[1]), "teach", "changing"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.slow
+def test_an_owner_that_was_killed_keeps_nobody_away(tmp_path: Path) -> None:
+    path = tmp_path / "objects.npz"
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with (
+            pytest.raises(DeviceError, match=rf"another teach \(pid {holder.pid}\) is changing"),
+            one_at_a_time(path, "teach", "changing"),
+        ):
+            pass
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+        with one_at_a_time(path, "teach", "changing"):
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_of_many_at_once_one_is_in(tmp_path: Path) -> None:
+    """Each adds 1 to a file between its reading and its writing; none may be lost."""
+    text = """
+import sys
+from pathlib import Path
+from tacshade_edge.errors import DeviceError
+from tacshade_edge.files.targets import one_at_a_time
+path, done = Path(sys.argv[1]), 0
+while done < 100:
+    try:
+        with one_at_a_time(path, "teach", "changing"):
+            path.write_text(str(int(path.read_text()) + 1))
+            done += 1
+    except DeviceError:
+        pass
+"""
+    path = tmp_path / "count"
+    path.write_text("0")
+    made = [subprocess.Popen([sys.executable, "-c", text, str(path)]) for _ in range(4)]
+    assert [each.wait() for each in made] == [0] * 4
+    assert path.read_text() == "400"
