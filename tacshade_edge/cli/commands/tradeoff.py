@@ -95,9 +95,10 @@ def run(args: argparse.Namespace) -> int:
     profiles = tuple(dict.fromkeys(args.profile or PROFILES))
     mistakes: list[str] = []
     study.check_out(args, "tradeoff", ("tradeoff.png",) if args.plot else ())
+    is_own = args.images is not None and study.is_own(args, ("sensors", "objects", "cluster"))
     every = _outputs_of(args, profiles)
     # A calibration alone gives a twin; only with images it is judged on those.
-    if args.images is not None and study.is_own(args, ("sensors", "objects", "cluster")):
+    if is_own:
         calibration, cases, mistakes = study.own_images(args)
         some = settings(profiles, calibration)
         judged = judge(some, calibration, cases)
@@ -137,6 +138,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _outputs_of(args: argparse.Namespace, profiles: Sequence[str]) -> tuple[str, ...]:
     """The outputs that profiles have; a usage error if one was asked for that none has."""
+    if args.images is None and args.calibration is not None and args.sensors is not None:
+        args.parser.error("--sensors cannot be used with --calibration")
+    if args.images is None and args.calibration is not None:
+        _need_twin()
     # Simulated sensors have no touch model.
     touch = () if args.calibration is None else loading.load(args.calibration).touch
     found = {name for profile in profiles for name in outputs_of(profile, touch)}
@@ -152,8 +157,6 @@ def _simulated(
     the calibration is the first sensor's.
     """
     progress = Progress()
-    if args.calibration is not None and args.sensors is not None:
-        args.parser.error("--sensors cannot be used with --calibration")
     with workers(args.cluster) as pool:
         if args.calibration is not None:
             sensors = [_twin(args, progress)]
@@ -207,9 +210,13 @@ def _report(args: argparse.Namespace) -> int:
     return code
 
 
+def _need_twin() -> None:
+    need("tradeoff --calibration without --images", "fit", "numba")
+
+
 def _twin(args: argparse.Namespace, progress: Progress) -> Simulation:
     """A simulation of the user's sensor, from its calibration's reference."""
-    need("tradeoff --calibration without --images", "fit", "numba")
+    _need_twin()
     from tacshade_edge.lab.fitting import identify, lattice, prints
 
     calibration = loading.load(args.calibration)
