@@ -26,7 +26,7 @@ LOCK_SUFFIX = ".owner"
 _OWNER_BYTES_MAX = 2000
 
 
-def written(path: Path) -> Path:
+def target_of(path: Path) -> Path:
     """The path at which a file is written: of a link, its target."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
@@ -37,7 +37,7 @@ def check_file(path: Path) -> None:
     Raises DeviceError (a folder, a device or a pipe; no folder to write to; no right to; no space).
     """
     with disk_errors(path):
-        path = written(path)
+        path = target_of(path)
         _check_kind(path)
         _check_space(path, path.parent)
 
@@ -53,7 +53,7 @@ def check_folder(folder: Path, names: Iterable[str] = ()) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name in names:
-                _check_kind(written(folder / name))
+                _check_kind(target_of(folder / name))
             _check_space(folder, folder)
         finally:
             for path in missing:
@@ -91,7 +91,7 @@ def one_at_a_time(path: Path, command: str, doing: str) -> Iterator[None]:
     file cannot be written, beside a file and inside a folder).
     """
     # Under each of its names, a file has one lock.
-    path = written(path)
+    path = target_of(path)
     lock = path / LOCK_SUFFIX if path.is_dir() else path.with_name(path.name + LOCK_SUFFIX)
     with disk_errors(lock):
         descriptor = _locked(lock, path, command)

@@ -228,7 +228,7 @@ def test_a_file_that_cannot_be_written_ends_a_command_before_its_work(
             monkeypatch.setattr("shutil.disk_usage", lambda _: _Usage(2**30, 2**30, 0))
     exists = is_export and bad in ("folder", "device")
     said = one_line([*line.split(), str(out)], EXIT_CONFIG if exists else EXIT_FAILED, capsys)
-    named = (out.name[:200], f"{out.parent}: cannot write it")
+    named = (out.name[:200], f"{out.parent}: cannot write it", "/dev/full: cannot write it")
     assert (
         "found 0 MiB free on the disk" in said
         if bad == "full"

@@ -14,7 +14,7 @@ from typing import Any, Final
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors, part, require_free, sync
 from tacshade_edge.files.meshes import ply
-from tacshade_edge.files.targets import check_folder, one_at_a_time, written
+from tacshade_edge.files.targets import check_folder, one_at_a_time, target_of
 from tacshade_edge.reasons import ReasonCode, code_of
 from tacshade_edge.recording.recording import RecordedFrame
 from tacshade_edge.types import Reconstruction
@@ -52,7 +52,7 @@ def check_new(path: Path) -> None:
         raise ConfigError(
             f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
         )
-    path = written(path)
+    path = target_of(path)
     check_folder(path.parent)
     with disk_errors(path):
         part(path).exists()  # raises OSError for too long a name
@@ -68,7 +68,7 @@ def new_path(path: Path) -> Iterator[Path]:
     or cannot be written.
     """
     check_new(path)
-    path = written(path)
+    path = target_of(path)
     partial = part(path)
     with disk_errors(path), contextlib.ExitStack() as stack:
         path.parent.mkdir(parents=True, exist_ok=True)
