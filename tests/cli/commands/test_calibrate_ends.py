@@ -23,6 +23,7 @@ pytestmark = [
 ]
 # The command with little to simulate and long trainings; what it finds of the print is known.
 SCRIPT = """
+import signal
 import sys
 from dataclasses import replace
 from support.calibrated_sensor import found_prints
@@ -31,6 +32,8 @@ from tacshade_edge.lab.fitting import fit
 from tacshade_edge.lab.fitting.twin_work import Effort
 
 if __name__ == "__main__":
+    # Whoever runs the tests under nohup ignores it, and a child inherits that.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     fit.FULL = Effort(batches=2, held_out=1, skins=2, views=1, steps=100_000)
     fit.identify = lambda *_: found_prints()
     sys.exit(main(sys.argv[1:]))
