@@ -33,9 +33,7 @@ _UNKNOWN_S: Final = 0.3
 # Three times the period of `health`.
 _LIFE_S: Final = 3.0
 # Time for a restarted holder or broker to restore the name before another takes it.
-_GONE_S: Final = (
-    10.0  # time for a restarted holder or broker to restore the name before another takes it
-)
+_GONE_S: Final = 10.0
 _POLL_S: Final = 0.05
 _ALIVE: Final = (b"online", b"degraded")
 

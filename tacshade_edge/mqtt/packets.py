@@ -21,7 +21,8 @@ def publish_properties(
     """Return the MQTT 5 properties of a message or a last will;
     subscribers of version 3.1.1 do not see them.
     """
-    properties = Properties(PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+    kind = PacketTypes.WILLMESSAGE if of_will else PacketTypes.PUBLISH
+    properties = Properties(kind)  # type: ignore[no-untyped-call]
     properties.ContentType = content_type
     if expiry_s is not None:
         properties.MessageExpiryInterval = expiry_s

@@ -294,14 +294,12 @@ def select_presses(
             ),
             others=left_out[1:],
         )
+    doubted_keys = [keys] if keys else []
+    excluded = [replace(one, left_out=True) for one in left_out]
     return Selection(
         tuple(usable.pressed[k][0] for k in kept),
         tuple(observations[k] for k in kept),
-        (
-            *usable.warnings,
-            *([keys] if keys else []),
-            *(replace(one, left_out=True) for one in left_out),
-        ),
+        (*usable.warnings, *doubted_keys, *excluded),
         polarity,
         keys,
         tuple(usable.pressed[k][1].answer for k in kept),
