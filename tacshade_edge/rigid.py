@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .types import F64, Pose, frozen
+from .types.geometry import F64, Pose, frozen
 
 
 @frozen

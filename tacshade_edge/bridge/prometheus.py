@@ -17,7 +17,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.listener import Connections, Listener
+from tacshade_edge.listening_socket import Connections, ListeningSocket
 from tacshade_edge.wire.health_topics import Health
 from tacshade_edge.wire.topics import ALIVE, STATES, State, decode_health, decode_state
 
@@ -173,7 +173,7 @@ class MetricsServer(ThreadingHTTPServer):
         socketserver.TCPServer.__init__(self, (host, port), handler, bind_and_activate=False)
         # The constructor has made one that accepts any number of connections.
         self.socket.close()
-        self.socket = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
+        self.socket = ListeningSocket(host, port, Connections(CONNECTIONS_MAX).admit)
         self.server_address = self.socket.getsockname()
         self.server_port: int = self.server_address[1]
         self.server_activate()

@@ -29,7 +29,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from tacshade_edge.errors import DecodeError
-from tacshade_edge.listener import Connections, Listener
+from tacshade_edge.listening_socket import Connections, ListeningSocket
 from tacshade_edge.wire.codec import decode_object
 
 _log = logging.getLogger(__name__)
@@ -109,7 +109,7 @@ class Viewers:
         self._channels: dict[int, dict[str, Any]] = {}
         self._viewers: list[_Viewer] = []
         self.missed = 0
-        self._listener = Listener(host, port, Connections(CONNECTIONS_MAX).admit)
+        self._listener = ListeningSocket(host, port, Connections(CONNECTIONS_MAX).admit)
         self.port: int = self._listener.getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._over = asyncio.Event()

@@ -28,7 +28,7 @@ from tacshade_edge.dashboard.page_files import File, load, security_headers
 from tacshade_edge.dashboard.recordings import RecordingCommands
 from tacshade_edge.dashboard.relay import FROM_PAGE_BYTES_MAX, Bridge, Broker
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.listener import Connections, Listener
+from tacshade_edge.listening_socket import Connections, ListeningSocket
 from tacshade_edge.quoting import escaped
 
 _log = logging.getLogger(__name__)
@@ -334,7 +334,7 @@ async def run(
         await (commands.serve(page) if about_recordings else bridge.carry(page))
 
     try:
-        listener = Listener(host, port, bounds.admit)
+        listener = ListeningSocket(host, port, bounds.admit)
         # Browsers send a cookie to every port of a host: without the port in its name, two
         # dashboards on one machine would log each other out.
         cookie = f"tacshade-{listener.getsockname()[1]}"

@@ -1,7 +1,7 @@
 """One session with a broker, by paho: whom it connects to and how, what it subscribes to, and
 what comes back; no policy about what it sends.
 
-The client's wheel contains this file too, so it imports only what that has.
+The client's wheel contains this file too (client/hatch_build.py).
 """
 
 from __future__ import annotations

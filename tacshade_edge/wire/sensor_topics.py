@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from ..rigid import from_seven
-from ..types import Disc, Geometry, Skin
+from ..types.geometry import Disc, Geometry, Skin
 from .bounds import Code, Count, Key, Number, Rate, SevenNumbers, SlipCode
 
 _Numbers = Annotated[dict[Key, Number | None], Meta(max_length=64)]

@@ -17,7 +17,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from ..errors import DecodeError
-from ..types import F32, U16, Pose
+from ..types.geometry import F32, U16, Pose
 
 WIRE_VERSION: Final = 1
 HEADER_BYTES: Final = 96

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import tacshade_client as tc
 from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
-from tacshade_client.listener import WAITING_MAX
 
+from tacshade_edge.mqtt.listener import WAITING_MAX
 from tacshade_edge.wire import binary, messages
 from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
 from tools.testbed.patience import patience, wait_until
@@ -90,7 +90,7 @@ def test_a_touch_of_unknown_depth_comes_through_the_broker(broker: Broker) -> No
 def test_a_silence_from_the_start_names_the_sensors_that_are_there_once(
     broker: Broker, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tacshade_client.listener.SILENT_S", 0.2)
+    monkeypatch.setattr("tacshade_edge.mqtt.listener.SILENT_S", 0.2)
     with (
         Subscriber(broker.port, "none") as sender,
         tc.listen(f"127.0.0.1:{broker.port}", "lfet") as heard,

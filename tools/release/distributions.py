@@ -40,14 +40,6 @@ def projects(tree: Path) -> list[Path]:
     return [tree, *sorted(path.parent for path in tree.glob("*/pyproject.toml"))]
 
 
-def kinds(project: Path) -> tuple[str, ...]:
-    """What uv is to build: a wheel alone of a project that says nothing of its sdist, else both."""
-    built = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
-        "hatch"
-    ]["build"]
-    return () if "sdist" in built["targets"] else ("--wheel",)
-
-
 def repository(tree: Path) -> str:
     """The repository's address, from pyproject.toml.
 
@@ -106,16 +98,8 @@ def build(tree: Path, out: Path) -> list[Path]:
             readme.write_text(
                 absolute(readme.read_text(encoding="utf-8"), where, address, ref), encoding="utf-8"
             )
-            words = (
-                "build",
-                "--quiet",
-                "--no-build-isolation",
-                "--out-dir",
-                str(made),
-                *kinds(project),
-                str(project),
-            )
-            subprocess.run((*UV, *words), check=True)
+            words = ("build", "--quiet", "--no-build-isolation", "--out-dir", str(made))
+            subprocess.run((*UV, *words, str(project)), check=True)
         return [
             path.replace(out / path.name)
             for path in sorted(made.iterdir())

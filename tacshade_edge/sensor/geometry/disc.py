@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ...types import F32, F64, U16, Bool, Disc, Geometry, frozen
+from ...types.geometry import F32, F64, U16, Bool, Disc, Geometry, frozen
 
 Value = TypeVar("Value", bound=np.generic)
 

@@ -16,9 +16,13 @@ from paho.mqtt.client import MQTTMessage, topic_matches_sub
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from .errors import ConfigError, DecodeError, DeviceError
-from .messages import Message, decode_message
-from .mqtt.client import (
+from ..errors import ConfigError, DecodeError, DeviceError
+from ..quoting import quoted
+from ..reasons import ReasonCode
+from ..wire.broker_address import host_and_port
+from ..wire.received import Message, decode_message
+from ..wire.topics import OF_HANDS, OF_SENSORS
+from .client import (
     FRAMES_BYTES_MAX,
     BrokerAddress,
     BrokerSession,
@@ -26,10 +30,6 @@ from .mqtt.client import (
     broker_at,
     denial,
 )
-from .quoting import quoted
-from .reasons import ReasonCode
-from .wire.broker_address import host_and_port
-from .wire.topics import OF_HANDS, OF_SENSORS
 
 _log = logging.getLogger(__name__)
 

@@ -6,13 +6,13 @@ import re
 from dataclasses import dataclass
 from typing import Any, Final
 
-from .errors import DecodeError
-from .quoting import shown
-from .sensor.geometry.disc import Grid, disc_rays, skin_points
-from .types import F32
-from .wire.sensor_topics import InfoGeometry
-from .wire.topics import OF_HANDS, OF_SENSORS
-from .wire.wire_format import HeightMessage
+from ..errors import DecodeError
+from ..quoting import shown
+from ..sensor.geometry.disc import Grid, disc_rays, skin_points
+from ..types.geometry import F32
+from .sensor_topics import InfoGeometry
+from .topics import OF_HANDS, OF_SENSORS
+from .wire_format import HeightMessage
 
 _TOPIC: Final = re.compile(r"tacshade/((?!hand/)[A-Za-z0-9_-]{1,64}|hand/[A-Za-z0-9_-]{1,64})/(.+)")
 

@@ -24,7 +24,7 @@ class Connections:
         return True
 
 
-class Listener(socket.socket):
+class ListeningSocket(socket.socket):
     """A listening TCP socket that accepts only the connections that `admit` lets in.
 
     It calls `admit` before a connection costs anything: with TLS a connection costs 256 KiB before

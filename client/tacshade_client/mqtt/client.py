@@ -1,1 +1,0 @@
-../../../tacshade_edge/mqtt/client.py

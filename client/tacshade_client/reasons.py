@@ -1,1 +1,0 @@
-../../tacshade_edge/reasons.py

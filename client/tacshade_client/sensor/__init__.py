@@ -1,1 +1,0 @@
-"""Arithmetic on height maps."""

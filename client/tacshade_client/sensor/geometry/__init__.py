@@ -1,1 +1,0 @@
-"""Each pixel's ray, and the skin point that it sees."""

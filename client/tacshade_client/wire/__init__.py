@@ -1,1 +1,0 @@
-"""Decodes bytes to values. No I/O."""

@@ -1,1 +1,0 @@
-../../../tacshade_edge/wire/broker_address.py

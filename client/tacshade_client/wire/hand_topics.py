@@ -1,1 +1,0 @@
-../../../tacshade_edge/wire/hand_topics.py

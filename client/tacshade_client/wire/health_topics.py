@@ -1,1 +1,0 @@
-../../../tacshade_edge/wire/health_topics.py

@@ -1,1 +1,0 @@
-../../../tacshade_edge/wire/sensor_topics.py

@@ -1,1 +1,0 @@
-../../../tacshade_edge/wire/wire_format.py
