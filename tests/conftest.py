@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+
 from support import shared
 from support.examples import AT_DESK, at_most
-
 from tacshade_edge.cli.shared.logs import OneLineHandler
 
 settings.register_profile(

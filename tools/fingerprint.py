@@ -22,6 +22,7 @@ PARTS = ("networks", "golden results", "program")
 """What a fingerprint is made of, in this order."""
 DIGITS = 5
 FOLLOWED = (
+    "support/",
     "tools/",
     "tacshade_edge/cli/commands/",
     "tacshade_edge/lab/fitting/",

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.published_sensor import CRC, bump, calibration
 
+from support.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
+from support.patience import patience, wait_until
+from support.published_sensor import CRC, bump, calibration
 from tacshade_edge.types import F64, Pose, Touch
 from tacshade_edge.wire import binary, messages
-from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
-from tools.testbed.patience import patience, wait_until
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 pytest.importorskip(

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.published_sensor import PublishedSensor, health
 
-from tools.testbed.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
-from tools.testbed.patience import patience, wait_until
+from support.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
+from support.patience import patience, wait_until
+from support.published_sensor import PublishedSensor, health
 
 parser = pytest.importorskip(
     "prometheus_client.parser", reason="the extra prometheus is not installed"

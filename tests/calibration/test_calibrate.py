@@ -6,8 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 
+from support.calibrated_sensor import HALF, calibrated, presses, references, sensor_of, unloaded
 from tacshade_edge.calibration.calibrate import FINE_PITCH_PX, CalibrationResult, calibrate
 from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode
 from tacshade_edge.calibration.inputs import KnownPress

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.examples import examples
 
+from support.examples import examples
 from tacshade_edge.calibration import indenters as shapes
 from tacshade_edge.calibration.indenters import (
     Indenter,

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import (
     HALF,
     calibrated,
@@ -23,7 +24,6 @@ from support.calibrated_sensor import (
     unloaded,
 )
 from support.networks import fitted_network, fitted_with
-
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.calibrate import calibrate, inputs_of, with_new_reference
 from tacshade_edge.calibration.files import calibration_file

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.observed_presses import SEEDS, observed
 
+from support.observed_presses import SEEDS, observed
 from tacshade_edge.calibration.observation import (
     DARKENING_FLOOR,
     DARKENING_WEIGHT,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.examples import examples
 from support.flat_skins import dome_like, pad
-
 from tacshade_edge.calibration.indenters import (
     Ball,
     Placed,

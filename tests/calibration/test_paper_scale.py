@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, pressed, presses, step
 
+from support.calibrated_sensor import HALF, calibrated, pressed, presses, step
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.paper_scale import with_paper_scale
 from tacshade_edge.sensor.depth.hybrid_sfs import change_grey

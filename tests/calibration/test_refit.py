@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import HALF, calibrated, presses, references
 from support.networks import ALL_TRUSTED
-
 from tacshade_edge.calibration import refit
 from tacshade_edge.calibration.indenters import Ball, known_height, stated_ball
 from tacshade_edge.calibration.inputs import KnownPress

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import rpicam_vid
 
+from support import rpicam_vid
+from support.patience import patience
 from tacshade_edge.camera import rpicam
 from tacshade_edge.camera.rpicam import RpicamSource
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import Frame
-from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.slow
 

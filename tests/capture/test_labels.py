@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from support.patience import patience, wait_until
 from tacshade_edge.capture.robot_place import labels_between
 from tacshade_edge.capture.scale import (
     ERROR_MOST_S,
@@ -23,7 +24,6 @@ from tacshade_edge.capture.scale import (
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.types import F64
-from tools.testbed.patience import patience, wait_until
 
 
 def pressed(t_s: F64, at_s: float) -> F64:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from support.patience import patience
 from tacshade_edge.capture.page import Page, Shown
-from tools.testbed.patience import patience
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.painted_sensor import FREE
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.presses.press_check import Judgement
 from tacshade_edge.calibration.reference.stillness import block_means
@@ -23,7 +24,6 @@ from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.painted_sensor import FREE
 
 pytestmark = pytest.mark.slow
 FPS = 20

@@ -11,8 +11,8 @@ from functools import cache
 
 import pytest
 
+from support.patience import patience
 from tacshade_edge import libsystemd
-from tools.testbed.patience import patience
 
 pytestmark = [
     pytest.mark.slow,

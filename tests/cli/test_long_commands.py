@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from support.recordings import record_hand, write_recording
 
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.recordings import record_hand, write_recording
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_USAGE, main
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 _Usage = namedtuple("_Usage", "total used free")
 COMMANDS = "tacshade_edge.cli.commands"

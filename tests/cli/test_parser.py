@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 import pytest
 
+from support.mqtt_rig import free_port
+from support.painted_sensor import FREE, painted_calibration
+from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import COMMANDS, EXIT_CONFIG, main
 from tacshade_edge.cli.shared.options import COUNT, FINITE, PORT, POSITIVE, address, path
-from tools.testbed.mqtt_rig import free_port
-from tools.testbed.painted_sensor import FREE, painted_calibration
-from tools.testbed.patience import patience
 
 
 def usage(words: str, capsys: pytest.CaptureFixture[str]) -> str:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 import tacshade_client as tc
-from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.patience import patience, wait_until
+from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
 from tacshade_edge.mqtt.listener import WAITING_MAX
 from tacshade_edge.wire import binary, messages
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.patience import patience, wait_until
 
 needs_a_broker = [
     pytest.mark.broker,

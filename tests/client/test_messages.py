@@ -11,9 +11,9 @@ import pytest
 import tacshade_client as tc
 from hypothesis import given
 from hypothesis import strategies as st
-from support.published_sensor import CRC, bump, calibration, dragged, health
 
 import tacshade_edge.sensor.geometry.disc as core
+from support.published_sensor import CRC, bump, calibration, dragged, health
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.geometry.disc import Grid, disc_rays
 from tacshade_edge.wire import binary, messages

@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 import tacshade_client
 import tacshade_client.rigid
-from support.client_wheel import built, command, unpacked
-from support.published_sensor import CRC, bump
 
 import tacshade_edge.rigid
+from support.client_wheel import built, command, unpacked
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
+from support.published_sensor import CRC, bump
 from tacshade_edge.wire import binary
 from tools.release.version import version
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
 
 ROOT = Path(__file__).parents[2]
 BYTES_MAX = 60_000

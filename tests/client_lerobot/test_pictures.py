@@ -18,13 +18,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from support.hostile_broker import BAD, HostileBroker
-from support.published_sensor import CRC, bump, calibration, dragged, unmeasured
 from tacshade_client import Message, decode_message
 
+from support.hostile_broker import BAD, HostileBroker
+from support.mqtt_rig import free_port
+from support.published_sensor import CRC, bump, calibration, dragged, unmeasured
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire import binary, messages
-from tools.testbed.mqtt_rig import free_port
 
 FOLDER = Path(__file__).parents[2] / "client_lerobot/lerobot_camera_tacshade"
 HALF_STEP_MM = 0.0125 + 1e-6

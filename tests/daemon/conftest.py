@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from support.running_app import Live
 
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+from support.patience import wait_until
+from support.running_app import Live
 from tacshade_edge.daemon import app, sensor_state
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.types import U8, Calibration, Frame
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import wait_until
 
 Step = U8 | TacshadeError | Callable[[], None] | None
 

@@ -15,7 +15,12 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.mqtt_rig import Broker, Subscriber, free_port
+from support.painted_sensor import touched_depth_mm
+from support.patience import stretched, wait_until
+from support.robot import PtyRobot
 from support.running_app import (
     BASE,
     GONE,
@@ -27,7 +32,6 @@ from support.running_app import (
     paced,
     switched,
 )
-
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.daemon.reloading import reload
@@ -37,10 +41,6 @@ from tacshade_edge.sensor.profiles import DEFAULT
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, RestLimits
 from tacshade_edge.wire import binary
-from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
-from tools.testbed.painted_sensor import touched_depth_mm
-from tools.testbed.patience import stretched, wait_until
-from tools.testbed.robot import PtyRobot
 
 pytestmark = NEEDS_BROKER
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.running_app import NEEDS_BROKER, Live, paced
 
+from support.running_app import NEEDS_BROKER, Live, paced
 from tacshade_edge.calibration.files import objects_file
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import LADDER, PROFILES

@@ -7,13 +7,12 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
+from support.patience import wait_until
 from support.running_app import GONE, NEEDS_BROKER, NO_REASON, Live, paced
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.recording.frame_table import read_table
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import load
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_BROKER
 

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
-from support.running_app import NEEDS_BROKER, Live, paced
 
+from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
+from support.patience import wait_until
+from support.robot import PtyRobot, motion
+from support.running_app import NEEDS_BROKER, Live, paced
 from tacshade_edge.cli import main
 from tacshade_edge.lab.simulator.pad import Bar, Pad, scan
 from tacshade_edge.lab.simulator.press import Press
@@ -23,8 +25,6 @@ from tacshade_edge.robot.pose import PoseValues
 from tacshade_edge.stitching.stitch_file import StitchFile
 from tacshade_edge.types import U8
 from tacshade_edge.wire import binary
-from tools.testbed.patience import wait_until
-from tools.testbed.robot import PtyRobot, motion
 
 pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
 PAD = Pad(12.0, 4.0, (Bar(2.0, 2.0, 10.0, 2.0, 3.0),))

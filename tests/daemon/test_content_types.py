@@ -7,16 +7,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import painted_calibration, write_posed_images
+from support.patience import wait_until
 from support.running_app import BASE, NEEDS_BROKER, Live
-
 from tacshade_edge.camera import sources
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.settings import load
 from tacshade_edge.wire import binary
-from tools.faults.rig import write_posed_images
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.painted_sensor import painted_calibration
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_BROKER
 

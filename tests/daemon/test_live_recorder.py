@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.painted_sensor import FREE, TOUCHED
+from support.patience import patience, wait_until
 from tacshade_edge.daemon import live_recorder, pre_roll, record_thread
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.ongoing_recording import STOPPED, TIME
@@ -25,8 +27,6 @@ from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import Recorder as SettingsOfRecorder
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame
-from tools.testbed.painted_sensor import FREE, TOUCHED
-from tools.testbed.patience import patience, wait_until
 
 
 class Live:

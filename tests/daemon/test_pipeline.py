@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.patience import patience
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult, SourceState
@@ -30,7 +31,6 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
-from tools.testbed.patience import patience
 
 OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
 

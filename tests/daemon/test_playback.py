@@ -12,8 +12,11 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
-from support.recordings import write_recording
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
+from support.recordings import write_recording
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.daemon.playback import Playback, PlaybackProgress, replay
@@ -24,9 +27,6 @@ from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.types import Reconstruction
 from tacshade_edge.wire import binary
 from tacshade_edge.wire.requests import PlaybackCommand
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
 
 IMAGES = [FREE, TOUCHED, BLACK, TOUCHED]
 

@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.running_app import NEEDS_BROKER, Live, paced
 
+from support.patience import wait_until
+from support.running_app import NEEDS_BROKER, Live, paced
 from tacshade_edge.reasons import Reason, ReasonCode
-from tools.testbed.patience import wait_until
 
 pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
 

@@ -13,8 +13,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.published_sensor import bump, unmeasured
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.painted_sensor import touched_depth_mm
+from support.patience import wait_until
+from support.published_sensor import bump, unmeasured
 from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.reference_in_use import References
@@ -33,9 +36,6 @@ from tacshade_edge.wire import binary
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.sensor_topics import ContactEvent
 from tacshade_edge.wire.topics import decode_contact_event
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.painted_sensor import touched_depth_mm
-from tools.testbed.patience import wait_until
 
 PERIOD_NS = 20_000_000  # 50 frames per second
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from support.painted_sensor import FREE, painted_calibration
 from support.published_sensor import unmeasured
 from support.resting_sensor import BATCH_S, Resting
-
 from tacshade_edge.calibration.files.calibration_file import with_crc
 from tacshade_edge.calibration.reference.references import bounds
 from tacshade_edge.daemon import reference_in_use
@@ -22,7 +23,6 @@ from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.contact.untouched import GAP_S, PERIOD_S, REST_S, UNTOUCHED_FRAMES
 from tacshade_edge.types import Calibration, Frame, KnownObject, Need
-from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from support.resting_sensor import BATCH_S, Resting
 
+from support.resting_sensor import BATCH_S, Resting
 from tacshade_edge.calibration.files.calibration_file import with_crc
 from tacshade_edge.daemon.reference_in_use import References
 from tacshade_edge.lab.simulator import camera_faults

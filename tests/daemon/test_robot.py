@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.robot_side import Side
 
+from support.patience import wait_until
+from support.robot import PtyRobot, motion
+from support.robot_side import Side
 from tacshade_edge.pipeline.observer import WAITING_MAX, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.port import SerialPort
@@ -24,8 +26,6 @@ from tacshade_edge.types import (
     Reconstruction,
 )
 from tacshade_edge.wire.results import ReferenceTaken, SessionBegun
-from tools.testbed.patience import wait_until
-from tools.testbed.robot import PtyRobot, motion
 
 
 def frame(t_ns: int, calibration: Calibration, valid: bool = True) -> tuple[Frame, Reconstruction]:

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.robot_side import Side
 
+from support.patience import stretched, wait_until
+from support.robot import PtyRobot
+from support.robot_side import Side
 from tacshade_edge.robot.robot import SharedLine, share_lines
 from tacshade_edge.settings import Document, Serial, Settings
-from tools.testbed.patience import stretched, wait_until
-from tools.testbed.robot import PtyRobot
 
 
 def documents(**devices: str) -> list[Document]:

@@ -12,6 +12,7 @@ from itertools import count
 import numpy as np
 import pytest
 
+from support.patience import patience, wait_until
 from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.framing import cobs_decode, cobs_encode
@@ -22,7 +23,6 @@ from tacshade_edge.robot.touch_events import TouchEvents
 from tacshade_edge.robot.verbs import TouchAsked, object_text
 from tacshade_edge.types import Frame, HeightMap, Need, ObjectCloud, Reconstruction, Touch
 from tacshade_edge.wire.results import TouchSwitched
-from tools.testbed.patience import patience, wait_until
 
 NS = 1_000_000_000
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.bumpy_surface import grid_poses, press_of
+from support.painted_sensor import painted_calibration
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.stitching import session as map_publisher
@@ -18,8 +20,6 @@ from tacshade_edge.stitching.stitch_file import StitchFile
 from tacshade_edge.stitching.stitcher import Raster
 from tacshade_edge.wire.binary import CloudMessage, decode
 from tacshade_edge.wire.results import PressAdded
-from tools.testbed.bumpy_surface import grid_poses, press_of
-from tools.testbed.painted_sensor import painted_calibration
 
 
 def raster(rows: int = 40, cols: int = 50) -> Raster:

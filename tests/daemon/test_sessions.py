@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.synced_names import synced, unsynced
 
+from support.calibrated_sensor import calibrated, pressed, step, unloaded
+from support.patience import patience, wait_until
+from support.synced_names import synced, unsynced
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -37,7 +38,6 @@ from tacshade_edge.wire.results import (
     SessionResult,
     SessionStatus,
 )
-from tools.testbed.patience import patience, wait_until
 
 
 def test_a_frame_is_for_those_who_waited_before_it_was_taken() -> None:

@@ -19,8 +19,12 @@ from typing import Any
 
 import cv2
 import pytest
-from support.running_app import NEEDS_BROKER
 
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
+from support.robot import PtyRobot
+from support.running_app import NEEDS_BROKER
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.daemon.supervisor import STEADY_S, Supervisor
@@ -31,10 +35,6 @@ from tacshade_edge.settings import load_all
 from tacshade_edge.wire import binary
 from tacshade_edge.wire.hand_topics import HandObjects
 from tacshade_edge.wire.topics import decode_hand
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
-from tools.testbed.robot import PtyRobot
 
 pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
 HAND = "tacshade/hand/left"

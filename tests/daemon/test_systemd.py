@@ -16,8 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.running_app import GONE, Running, paced
 
+from support.mqtt_rig import free_port
+from support.painted_sensor import painted_calibration
+from support.patience import patience, wait_until
+from support.running_app import GONE, Running, paced
 from tacshade_edge import libsystemd
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.daemon import app as app_module
@@ -30,9 +33,6 @@ from tacshade_edge.pipeline.observer import FrameObserver, FrameResult, SourceSt
 from tacshade_edge.pipeline.pipeline import Grab, Mailbox, Reconstruct
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, Frame, Need
-from tools.testbed.mqtt_rig import free_port
-from tools.testbed.painted_sensor import painted_calibration
-from tools.testbed.patience import patience, wait_until
 
 pytestmark = pytest.mark.slow
 

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.published_sensor import bump, unmeasured
 
+from support.painted_sensor import FREE, painted_calibration
+from support.published_sensor import bump, unmeasured
 from tacshade_edge.calibration.files import objects_file
 from tacshade_edge.daemon.taught_objects import SETTLED_NS, ObjectEvents, TaughtObjects
 from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.types import Frame, KnownObject, Need, TouchedObject
-from tools.testbed.painted_sensor import FREE, painted_calibration
 
 KNOWN = {"fast": (KnownObject("nut", np.zeros((1, 3), np.float32)),)}
 STEP_NS = SETTLED_NS // 2

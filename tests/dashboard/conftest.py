@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
+
 from support.browser import browser, errors, errors_of_the_page
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber
 from support.page_server import run
 from support.published_sensor import PublishedSensor
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
-from tools.testbed.mqtt_rig import Broker, Subscriber
 
 
 @pytest.hookimpl(tryfirst=True)

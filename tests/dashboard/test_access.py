@@ -6,9 +6,9 @@ import asyncio
 from http import HTTPStatus
 
 import pytest
-from support.page_server import TOKEN, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from support.page_server import TOKEN, echo, get, running, tcp, websocket
 from tacshade_edge.dashboard import page_files
 from tacshade_edge.dashboard.access import PERIOD_S, WRONG_MAX, Login, refusal
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.published_sensor import calibration
 
+from support.patience import patience
+from support.published_sensor import calibration
 from tacshade_edge.wire import messages
-from tools.testbed.patience import patience
 
 NODE = shutil.which("node")
 pytestmark = [pytest.mark.node, pytest.mark.skipif(NODE is None, reason="Node.js is not installed")]

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.page_server import TOKEN, echo, get, running, tcp, websocket
-from support.recordings import recorded
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import serve
 
+from support.page_server import TOKEN, echo, get, running, tcp, websocket
+from support.recordings import recorded
 from tacshade_edge.dashboard import downloads, server
 from tacshade_edge.dashboard.downloads import DOWNLOADS_MAX
 from tacshade_edge.dashboard.recording_tar import tar_of

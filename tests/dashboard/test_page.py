@@ -21,8 +21,11 @@ import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+
 from support.browser import browser, errors
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker
+from support.patience import wait_until
 from support.published_sensor import (
     COLS,
     DISC,
@@ -44,13 +47,10 @@ from support.shown_page import (
     text,
     until_shown,
 )
-
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Reconstruction, Slip, Touch
 from tacshade_edge.wire import codec, messages
-from tools.testbed.mqtt_rig import Broker
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

@@ -10,7 +10,10 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import wait_until
 from support.published_sensor import PublishedSensor, bump
 from support.shown_page import (
     NEEDS_A_BROWSER,
@@ -23,9 +26,6 @@ from support.shown_page import (
     text,
     until_shown,
 )
-
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

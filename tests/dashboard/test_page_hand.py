@@ -14,16 +14,16 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import wait_until
 from support.published_sensor import PublishedSensor, bump
 from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
-
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction
 from tacshade_edge.wire.hand_messages import away, encode_hand
 from tacshade_edge.wire.hand_topics import Finger, HandObject, HandObjects
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 ROW, COL = 250.0, 340.0

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
+
 from support.growing_map import PAD, scan
+from support.mqtt_rig import Subscriber
+from support.patience import wait_until
 from support.published_sensor import PublishedSensor
 from support.shown_page import (
     NEEDS_A_BROWSER,
@@ -20,10 +23,7 @@ from support.shown_page import (
     text,
     until_mapped,
 )
-
 from tacshade_edge.wire import messages
-from tools.testbed.mqtt_rig import Subscriber
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

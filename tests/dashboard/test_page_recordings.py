@@ -15,16 +15,16 @@ from pathlib import Path
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.select import Select
+
 from support.browser import errors
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
 from support.recordings import recorded, write_recording
 from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.dashboard.recording_tar import tar_of
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

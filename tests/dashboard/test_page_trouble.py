@@ -10,8 +10,11 @@ from pathlib import Path
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+
 from support.browser import browser, errors
 from support.dashboard_process import dashboard
+from support.mqtt_rig import Broker, Subscriber, certificate
+from support.patience import wait_until
 from support.published_sensor import PublishedSensor, bump
 from support.shown_page import (
     NEEDS_A_BROWSER,
@@ -25,11 +28,8 @@ from support.shown_page import (
     unfold_health,
     until_shown,
 )
-
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire import binary, messages
-from tools.testbed.mqtt_rig import Broker, Subscriber, certificate
-from tools.testbed.patience import wait_until
 
 pytestmark = NEEDS_A_BROWSER
 

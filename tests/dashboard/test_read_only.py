@@ -12,9 +12,9 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from support.patience import patience
 from tacshade_edge.dashboard.relay import PACKET_BYTES_MAX, ReadOnly
 from tacshade_edge.errors import DecodeError
-from tools.testbed.patience import patience
 
 V311, V5 = MQTTProtocolVersion.MQTTv311, MQTTProtocolVersion.MQTTv5
 

@@ -13,18 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.page_server import TOKEN, running
-from support.recordings import LONG_AGO_S, recorded
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from support.page_server import TOKEN, running
+from support.painted_sensor import FREE, painted_calibration
+from support.recordings import LONG_AGO_S, recorded
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.dashboard import recordings
 from tacshade_edge.dashboard.recording_tar import CHUNK_BYTES, tar_of
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.types import Frame
-from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
 def test_the_newest_come_first_also_those_of_several_sensors(tmp_path: Path) -> None:

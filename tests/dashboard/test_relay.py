@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from support.dashboard_process import dashboard
-from support.page_server import client_through, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed
 
+from support.dashboard_process import dashboard
+from support.mqtt_rig import MOSQUITTO, Broker
+from support.page_server import client_through, echo, get, running, tcp, websocket
+from support.patience import wait_until
 from tacshade_edge.dashboard import relay
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker
-from tools.testbed.patience import wait_until
 
 NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 

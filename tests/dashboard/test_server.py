@@ -9,9 +9,9 @@ import re
 from pathlib import Path
 
 import pytest
-from support.page_server import answer, echo, get, running, tcp, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from support.page_server import answer, echo, get, running, tcp, websocket
 from tacshade_edge.dashboard import server
 from tacshade_edge.dashboard.server import CONNECTIONS_MAX, PAGES_MAX
 

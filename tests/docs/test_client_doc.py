@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 import tacshade_client
-from support.published_sensor import CRC, bump, calibration
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
+from support.published_sensor import CRC, bump, calibration
 from tacshade_edge.wire import binary, messages
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/client.md").read_text()

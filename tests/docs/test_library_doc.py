@@ -14,14 +14,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
-from support.recordings import record_hand
 
 import tacshade_edge as ts
+from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience
+from support.recordings import record_hand
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience
 
 TEXT = (Path(__file__).parents[2] / "docs/reference/library.md").read_text()
 README = (Path(__file__).parents[2] / "README.md").read_text()

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from support.mqtt_rig import free_port
+from support.patience import patience, wait_until
 from tacshade_edge.cli import main
-from tools.testbed.mqtt_rig import free_port
-from tools.testbed.patience import patience, wait_until
 
 pytestmark = pytest.mark.slow  # a calibration set is drawn, and calibrated
 PAGE = Path(__file__).parents[2] / "docs/how-to/mistakes.md"

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.patience import patience
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.stitching.session import MapPublisher, MapRevision
 from tacshade_edge.stitching.stitcher import Raster
 from tacshade_edge.wire import binary
-from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs/reference/mqtt"

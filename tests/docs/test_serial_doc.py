@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import patience
 from tacshade_edge.robot.framing import LinkCounts
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot
@@ -27,7 +28,6 @@ from tacshade_edge.robot.touch_events import TouchEvents
 from tacshade_edge.robot.verbs import USAGE
 from tacshade_edge.types import QUANTITIES
 from tools.examples.serial.host import Daemon
-from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/serial.md").read_text()

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.published_sensor import CRC, bump, calibration, unmeasured
 
+from support.published_sensor import CRC, bump, calibration, unmeasured
 from tacshade_edge.daemon.hand_process import FingerReporter, Lines
 from tacshade_edge.hand.fingers import STALLED_NS, HandAggregator
 from tacshade_edge.library.frame_assembler import FrameAssembler
@@ -253,7 +253,6 @@ def lerobot(played: Played, _: Path) -> str:
 def prometheus(played: Played, _: Path) -> str:
     pytest.importorskip("prometheus_client", reason="the extra prometheus is not installed")
     from support.published_sensor import health
-
     from tacshade_edge.bridge.prometheus import FRESH_S, SensorMetrics
 
     clock = iter(range(1000))

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.hostile_broker import HostileBroker
 
+from support.hostile_broker import HostileBroker
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.patience import wait_until
 from tacshade_edge.doctor import Finding, ok
 from tacshade_edge.doctor.broker_check import (
     DaemonState,
@@ -19,8 +21,6 @@ from tacshade_edge.doctor.broker_check import (
     judge_round_trip,
 )
 from tacshade_edge.doctor.machine import Process
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.patience import wait_until
 
 BASE = "tacshade/left"
 broker_test = pytest.mark.broker

@@ -7,18 +7,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.findings import checked, states
 from support.networks import fitted_with
+from support.painted_sensor import painted_calibration
 from support.published_sensor import unmeasured
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.doctor.calibration_check import check_images, load
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.settings import load as load_settings
 from tacshade_edge.types import U8, Frame, Reconstruction
-from tools.testbed.painted_sensor import painted_calibration
 
 ROWS, COLS = 240, 320
 

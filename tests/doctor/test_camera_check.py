@@ -11,9 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from support import rpicam_vid
 from support.findings import checked, states
-
+from support.painted_sensor import BLACK, FREE
 from tacshade_edge.camera.file_source import FilesSource
 from tacshade_edge.doctor.camera_check import (
     FRAMES,
@@ -30,7 +31,6 @@ from tacshade_edge.doctor.camera_check import (
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.settings import Rpicam, V4l2
-from tools.testbed.painted_sensor import BLACK, FREE
 
 LOCKED = {
     "time_stamps": "kernel",

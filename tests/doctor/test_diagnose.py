@@ -10,8 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.findings import checked
 
+from support.findings import checked
+from support.mqtt_rig import free_port
+from support.painted_sensor import FREE, painted_calibration
+from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.doctor import Finding, fault, ok
 from tacshade_edge.doctor.broker_check import DaemonState
@@ -20,9 +23,6 @@ from tacshade_edge.doctor.camera_check import Captured
 from tacshade_edge.doctor.diagnose import check_settings, diagnose, start, wait_for
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.settings import Document, load
-from tools.testbed.mqtt_rig import free_port
-from tools.testbed.painted_sensor import FREE, painted_calibration
-from tools.testbed.patience import patience
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.findings import checked, states
 
+from support.findings import checked, states
 from tacshade_edge.doctor.board import (
     MODEL,
     THROTTLED,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from support.findings import checked, states
 
+from support.findings import checked, states
 from tacshade_edge.doctor.port_checks import (
     Port,
     bytes_s,

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.synced_names import synced, unsynced
 
+from support.synced_names import synced, unsynced
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.files.atomic_files import (
     FolderLock,

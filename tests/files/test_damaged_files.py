@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from support.examples import at_most
 from support.file_kinds import NAMES, Files, Kind, kinds
-
 from tacshade_edge.errors import TacshadeError
 from tacshade_edge.files import npz
 from tacshade_edge.files.npz import Content

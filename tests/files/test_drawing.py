@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.published_sensor import unmeasured
 
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
+from support.published_sensor import unmeasured
 from tacshade_edge.files.drawing import (
     BAR_WIDTH_PX,
     LEFT_PX,
@@ -18,7 +19,6 @@ from tacshade_edge.files.drawing import (
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import U8, Frame, Reconstruction
-from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 
 
 def result_of(image: U8) -> Reconstruction:

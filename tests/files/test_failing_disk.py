@@ -15,8 +15,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from support.failing_disk import FailingDisk, Way
 
+from support.bumpy_surface import grid_poses, press_of
+from support.failing_disk import FailingDisk, Way
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration.files import calibration_file, objects_file, reference_file
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow, read_labels
@@ -33,8 +35,6 @@ from tacshade_edge.stitching.map_files import write_map
 from tacshade_edge.stitching.stitch_file import SessionInfo, StitchFile
 from tacshade_edge.stitching.stitcher import Raster
 from tacshade_edge.types import Frame, KnownObject, Reconstruction
-from tools.testbed.bumpy_surface import grid_poses, press_of
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 pytestmark = pytest.mark.slow
 OLD, NEW = "old", "new"

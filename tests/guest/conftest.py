@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.vivid import UDEV, unload_driver
 
-from tools.testbed.patience import patience
+from support.patience import patience
+from support.vivid import UDEV, unload_driver
 
 INSIDE = Path("/out/.command").exists()
 OUTPUT = Path("/dev/hvc0")

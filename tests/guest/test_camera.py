@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from support.patience import stretched, wait_until
 from support.vivid import (
     FPS,
     NODE,
@@ -23,10 +25,8 @@ from support.vivid import (
     plug_webcam,
     unload_driver,
 )
-
 from tacshade_edge.camera.v4l2 import V4l2Source
 from tacshade_edge.errors import ConfigError, DeviceError
-from tools.testbed.patience import stretched, wait_until
 
 TRACING = Path("/sys/kernel/tracing")
 DROPS_OF = 100

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.vivid import NODE, control, plug_webcam
 
+from support.vivid import NODE, control, plug_webcam
 from tacshade_edge.camera import sources
 from tacshade_edge.camera.v4l2_node import frame_sizes
 from tacshade_edge.doctor import Finding

@@ -20,16 +20,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
-from support.vivid import NODE, UDEV, control, unload_driver
 
+from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, show, streaming, until
+from support.mqtt_rig import Subscriber
+from support.patience import patience, stretched, wait_until
+from support.vivid import NODE, UDEV, control, unload_driver
 from tacshade_edge.camera import sources
 from tacshade_edge.doctor.camera_check import capture, check_frames
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.settings import V4l2
 from tacshade_edge.wire import binary
-from tools.testbed.mqtt_rig import Subscriber
-from tools.testbed.patience import patience, stretched, wait_until
 
 TREE = Path(__file__).resolve().parents[2]
 GIVEN = TREE / ".rig/given"

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import patience
 from tacshade_edge.cli import main
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.lab import cluster
 from tacshade_edge.lab.parallel import Report, ThisProcess, Workers, workers
 from tacshade_edge.lab.studies.evaluate.work import SensorName, evaluate
-from tools.testbed.patience import patience
 
 pytestmark = pytest.mark.filterwarnings(  # Dask's, of sockets that it closes late
     "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning"
@@ -43,7 +43,7 @@ def dask(folder: Path, kind: str, *words: str) -> Iterator[subprocess.Popen[byte
     """A program of Dask's that imports this checkout."""
     command = (sys.executable, "-m", "dask", kind, *words, "--host", "127.0.0.1", "--no-dashboard")
     environment = os.environ | {
-        "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}",
+        "PYTHONPATH": str(ROOT),
         "DASK_TEMPORARY_DIRECTORY": str(folder),
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
     }

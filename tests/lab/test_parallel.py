@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from support.patience import patience, wait_until
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.lab.parallel import processes, usable_cores, workers
-from tools.testbed.patience import patience, wait_until
 
 
 def slow_first(task: int) -> tuple[int, int]:

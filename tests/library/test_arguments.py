@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated
 
 import tacshade_edge as ts
+from support.calibrated_sensor import calibrated
 from tacshade_edge.calibration.files import calibration_file
 
 CLOSED = "127.0.0.1:1"

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.published_sensor import CRC, bump, dragged, uncertain, unmeasured
 from support.published_sensor import calibration as published_calibration
-
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.library.frame_assembler import TOPICS, FrameAssembler
 from tacshade_edge.mqtt.publishing import Publisher

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, unloaded
 
 import tacshade_edge as ts
+from support.calibrated_sensor import calibrated, pressed, unloaded
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.library import frames

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.recordings import record_finger, record_hand
 
 import tacshade_edge as ts
+from support.recordings import record_finger, record_hand
 from tacshade_edge.wire.hand_messages import encode_hand
 
 VECTORS = json.loads((Path(__file__).parents[1] / "wire" / "vectors" / "wire.json").read_text())

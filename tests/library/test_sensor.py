@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
 import tacshade_edge as ts
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 

@@ -8,12 +8,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from support.published_sensor import PublishedSensor, bump
 
 import tacshade_edge as ts
+from support.mqtt_rig import MOSQUITTO, Broker, free_port
+from support.published_sensor import PublishedSensor, bump
 from tacshade_edge.library import subscriber
 from tacshade_edge.reasons import Reason, ReasonCode
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
 
 pytestmark = [
     pytest.mark.broker,

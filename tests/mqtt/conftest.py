@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.link_rig import BASE, Rig
 
-from tools.testbed.mqtt_rig import Broker, Subscriber
+from support.link_rig import BASE, Rig
+from support.mqtt_rig import Broker, Subscriber
 
 
 @pytest.fixture

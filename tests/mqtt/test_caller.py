@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.mqtt.caller import MqttCaller
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.reasons import ReasonCode
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
 
 pytestmark = [
     pytest.mark.broker,

@@ -13,11 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.link_rig import BASE, Rig, code
 
+from support.link_rig import BASE, Rig, code
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import wait_until
 from tacshade_edge.reasons import ReasonCode
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import wait_until
 
 pytestmark = [
     pytest.mark.broker,

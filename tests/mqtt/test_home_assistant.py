@@ -6,8 +6,8 @@ import json
 import re
 
 import pytest
-from support.published_sensor import bump, unmeasured
 
+from support.published_sensor import bump, unmeasured
 from tacshade_edge.mqtt.home_assistant import discovery_topics, encode_discovery
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Reconstruction

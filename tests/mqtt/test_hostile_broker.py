@@ -6,18 +6,18 @@ from __future__ import annotations
 
 import pytest
 import tacshade_client as tc
-from support.hostile_broker import BAD, BAD_TOPICS, HostileBroker, publish
-from support.link_rig import BASE, Rig
-from support.published_sensor import CRC, bump
 
 import tacshade_edge as ts
+from support.hostile_broker import BAD, BAD_TOPICS, HostileBroker, publish
+from support.link_rig import BASE, Rig
+from support.patience import patience, wait_until
+from support.published_sensor import CRC, bump
 from tacshade_edge.bridge.prometheus import SensorMetrics
 from tacshade_edge.mqtt.caller import MqttCaller
 from tacshade_edge.mqtt.client import BrokerAddress, broker_at
 from tacshade_edge.mqtt.follower import Follower
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.requests import Request
-from tools.testbed.patience import patience, wait_until
 
 HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
 

@@ -17,8 +17,10 @@ import pytest
 from paho.mqtt.client import MQTTMessage
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, numbers, offer_for
 
+from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, numbers, offer_for
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import patience, wait_until
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import BadRequest, MqttLink, read_request
@@ -26,8 +28,6 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import HeightMap, ObjectCloud, Reconstruction
 from tacshade_edge.wire import binary, messages, requests
 from tacshade_edge.wire.requests import Request
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
 
 
 def reconstruction(seq: int) -> Reconstruction:

@@ -7,6 +7,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+
 from support.link_rig import (
     BACK_S,
     BASE,
@@ -18,10 +19,9 @@ from support.link_rig import (
     numbers,
     offer_for,
 )
-
+from support.mqtt_rig import Broker, Subscriber, free_port
+from support.patience import promised, stretched, wait_until
 from tacshade_edge.reasons import ReasonCode
-from tools.testbed.mqtt_rig import Broker, Subscriber, free_port
-from tools.testbed.patience import promised, stretched, wait_until
 
 
 @broker_test

@@ -6,14 +6,14 @@ import logging
 from pathlib import Path
 
 import pytest
+
 from support.hostile_broker import HostileBroker
 from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto
-
+from support.mqtt_rig import Broker, Subscriber
+from support.patience import wait_until
 from tacshade_edge.mqtt.packets import packet_bytes, publish_properties
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.wire.requests import Request
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.patience import wait_until
 
 SMALL_ENOUGH = 8000
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.pressed_tables import PressedTable, pressed_table
 
+from support.pressed_tables import PressedTable, pressed_table
 from tacshade_edge.plausibility.pose_tables import Reading
 from tacshade_edge.plausibility.suspicions import Suspicion, SuspicionCode
 from tacshade_edge.plausibility.units import LENGTHS, UnitName

@@ -17,8 +17,8 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from support.mcap_bytes import CHUNK, DATA_END, described, file_of, flipped, message, record_starts
 
+from support.mcap_bytes import CHUNK, DATA_END, described, file_of, flipped, message, record_starts
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.recording.mcap import ros_image, stored_frames
 from tacshade_edge.recording.mcap.writer import McapWriter, camera_message

@@ -12,8 +12,8 @@ import lz4.frame
 import zstandard
 from mcap.records import Message
 from mcap.writer import Writer
-from support.mcap_bytes import FOOTER, MAGIC, chunk, described, file_of, flipped, message, record
 
+from support.mcap_bytes import FOOTER, MAGIC, chunk, described, file_of, flipped, message, record
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.recording.mcap.reader import (
     CHUNK_BYTES_MAX,

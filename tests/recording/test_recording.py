@@ -6,8 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.recordings import HEADER, write_recording
 
+from support.painted_sensor import painted_calibration
+from support.recordings import HEADER, write_recording
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -16,7 +17,6 @@ from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.recording.recording import RecordedFrame, Recording
 from tacshade_edge.recording.recording_content import content_of, events_in, wall_minus_t_ns
 from tacshade_edge.types import U8, Frame, Pose
-from tools.testbed.painted_sensor import painted_calibration
 
 
 def picture(level: int) -> np.ndarray:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.published_sensor import unmeasured
 
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.published_sensor import unmeasured
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.recording.recording import RecordedFrame
@@ -31,7 +32,6 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Frame, HeightMap, ObjectCloud, Pose, Reconstruction, Touch
 from tacshade_edge.wire import binary
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 CRC32 = 0xABCD
 Change = Callable[[Reconstruction], Reconstruction]

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
+from support.robot import LINES, Clock
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
-from tools.testbed.robot import LINES, Clock
 
 S = 10**9
 MS = 10**6

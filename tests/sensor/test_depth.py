@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.networks import answering
-
 from tacshade_edge.sensor.depth import Depth, with_own_ratio
 from tacshade_edge.sensor.depth.hybrid_iteration import HybridIteration
 from tacshade_edge.sensor.depth.hybrid_sfs import hybrid_depth, unit_by_grey

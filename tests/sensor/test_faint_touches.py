@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import (
     HALF,
     calibrated,
@@ -17,7 +18,6 @@ from support.calibrated_sensor import (
 )
 from support.networks import saying
 from support.soundness import assert_nothing
-
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.reasons import Reason, ReasonCode

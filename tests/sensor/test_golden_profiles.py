@@ -8,6 +8,7 @@ import json
 from itertools import chain
 
 import pytest
+
 from support.golden_profiles import GOLDEN, figures
 
 TOLERANCE = 0.03

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.examples import examples
 from support.extremes import EXTREME_MAPS, any_maps, shapes
-
+from support.hybrid_sfs_oracle import hybrid_sfs, unit_height
 from tacshade_edge.lab.simulator.press import PAPER_OBJECTS
 from tacshade_edge.sensor.depth.hybrid_iteration import HybridIteration
 from tacshade_edge.sensor.depth.hybrid_sfs import finite_shape_grey
@@ -19,7 +20,6 @@ from tacshade_edge.sensor.image.greyscale import shape_grey
 from tacshade_edge.sensor.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, F64, U8, Bool
-from tools.testbed.hybrid_sfs_oracle import hybrid_sfs, unit_height
 
 BOUND = 0.02 / 3
 """Of a greatest height of 1: 0.02 mm of 3 mm."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, simulated, unloaded
 
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, simulated, unloaded
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.sensor.inference.network import make_reconstructor

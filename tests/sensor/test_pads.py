@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.flat_skins import DISC, dome_like, pad
 
+from support.flat_skins import DISC, dome_like, pad
 from tacshade_edge.lab.simulator.render import project
 from tacshade_edge.sensor.depth.learned import (
     FLAT_DEG,

@@ -10,6 +10,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+
+from support import bad_pictures
 from support.calibrated_sensor import (
     EVERY_PROFILE,
     FULL,
@@ -26,7 +28,6 @@ from support.calibrated_sensor import (
 )
 from support.networks import saying
 from support.soundness import assert_nothing, everything
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
@@ -37,7 +38,6 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import KMEANS, LADDER, NETWORK, PROFILES, profile_with
 from tacshade_edge.sensor.reconstruct import STAGES, Reconstructor
 from tacshade_edge.types import F64, U8, Frame, Need, Reconstruction
-from tools.testbed.simulator import bad_pictures
 
 # NumPy's arrays are seen, and OpenCV's where it returns them;
 # what OpenCV frees within a call is not.

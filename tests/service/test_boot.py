@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from support.booted_machine import CHECKOUT, cannot_boot, fetch, seen_there
 from support.calibrated_sensor import FULL, calibrated
+from support.patience import stretched
 from support.shared import once_for_all_workers
-
 from tacshade_edge.calibration.files import calibration_file
 from tools.release.package_debian import CONFFILES, RELEASES
 from tools.release.version import version
-from tools.testbed.patience import stretched
 
 WATCHDOG_S, STOP_S, MEMORY_MAX_MB = 10.0, 2.0, 150
 OLDER = "0.0.1"

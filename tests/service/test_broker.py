@@ -18,11 +18,11 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
+from support.mqtt_rig import MOSQUITTO, free_port
+from support.painted_sensor import TOUCHED, painted_calibration
+from support.patience import patience, wait_until
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.wire.topics import decode_hand
-from tools.testbed.mqtt_rig import MOSQUITTO, free_port
-from tools.testbed.painted_sensor import TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
 
 FILES = Path(__file__).parents[2] / "systemd"
 SENSOR, OTHER, DASHBOARD = "thumb", "foot", "dashboard"

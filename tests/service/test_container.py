@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.booted_machine import fetch
 
+from support.booted_machine import fetch
 from tools.release.version import version
 
 TREE = Path(__file__).parents[2]

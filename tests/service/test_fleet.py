@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt.client import MQTTMessage
-from support.fleet import CentralClient, ConfiguredBroker, board, central, people_port
 
-from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
-from tools.testbed.patience import patience, wait_until
+from support.fleet import CentralClient, ConfiguredBroker, board, central, people_port
+from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.patience import patience, wait_until
 
 pytestmark = [
     pytest.mark.broker,

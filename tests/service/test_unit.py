@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO
 from tacshade_edge.settings import load
-from tools.testbed.mqtt_rig import MOSQUITTO
 
 FILES = Path(__file__).parents[2] / "systemd"
 EXPOSURE_MAX = 1.5

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
 from support.extremes import EXTREME_IMAGES, Maker, makers
 from support.soundness import everything, sound_step
-
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor

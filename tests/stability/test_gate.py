@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+
 from support.built_sensor import built_calibration
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, simulated
 from support.extremes import constant, ramp
 from support.soundness import sound_step
-
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.sensor.inference.network import make_reconstructor

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
 from support.extremes import EXTREME_IMAGES, noise
 from support.soundness import sound_step
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from support.examples import examples
 from support.extremes import EXTREME_IMAGES
 from support.networks import float_network
-
 from tacshade_edge.sensor.depth import Network
 from tacshade_edge.sensor.depth.learned import Inverse, LearnedInverse, known_maps
 from tacshade_edge.sensor.inference.network import WEIGHTS, load_network

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from support.examples import examples
 from support.networks import ALL_TRUSTED
-
 from tacshade_edge.calibration import refit
 from tacshade_edge.calibration.indenters import Ball
 from tacshade_edge.lab.studies.evaluate.score import score_cloud

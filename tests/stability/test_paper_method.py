@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.ndimage import median_filter
-from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 
+from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
+from support.hybrid_sfs_oracle import hybrid_sfs
 from tacshade_edge.sensor.depth.hybrid_iteration import EPS, ITERATIONS, HybridIteration
 from tacshade_edge.sensor.depth.hybrid_sfs import hybrid_depth
 from tacshade_edge.sensor.image.greyscale import shape_grey
 from tacshade_edge.sensor.image.preprocess import GreyMapper, GreyMaps, Preprocessor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F64, Bool
-from tools.testbed.hybrid_sfs_oracle import hybrid_sfs
 
 pytestmark = pytest.mark.slow
 CELLS = 64

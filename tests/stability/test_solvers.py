@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from support.examples import examples
 from support.extremes import BEYOND, EXTREME_MAPS, any_maps, checkerboard, makers, shapes
-
+from support.hybrid_sfs_oracle import hybrid_sfs
 from tacshade_edge.sensor.depth import Depth
 from tacshade_edge.sensor.depth.hybrid_iteration import EPS, HybridIteration
 from tacshade_edge.sensor.depth.hybrid_sfs import hybrid_depth, unit_by_grey
@@ -25,7 +26,6 @@ from tacshade_edge.sensor.image.preprocess import GreyMaps
 from tacshade_edge.sensor.image.white import BoxSums, Integrator, binarise
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, F64, U8, Binarisation, Bool, Disc
-from tools.testbed.hybrid_sfs_oracle import hybrid_sfs
 
 ALPHA_MM = 3.0
 METHODS: dict[str, Callable[[GreyMaps, float], Depth]] = {

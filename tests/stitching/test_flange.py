@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.bumpy_surface import APEX_MM
+from support.flange_plan import Turns, exact_frames
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.rigid import Rigid, of_pose, shift, turn
 from tacshade_edge.robot.pose_buffer import (
@@ -27,8 +29,6 @@ from tacshade_edge.stitching.flange import (
     unseen,
 )
 from tacshade_edge.types import F64, Pose
-from tools.testbed.bumpy_surface import APEX_MM
-from tools.testbed.flange_plan import Turns, exact_frames
 
 TRUE = shift(12, -7, 55) @ turn((0.3, -0.2, 1.1))
 START = shift(6, 6, -5) @ Rigid(

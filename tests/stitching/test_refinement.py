@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from support.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.stitching.refinement import (
     PoseError,
@@ -12,7 +13,6 @@ from tacshade_edge.stitching.refinement import (
     thin_points,
 )
 from tacshade_edge.types import F64
-from tools.testbed.bumpy_surface import APEX_MM, DOWN, grid_poses, misreported, press_of
 
 APEX = np.array((0, 0, APEX_MM))
 TRUE = grid_poses()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.bumpy_surface import grid_poses, press_of
 from tacshade_edge.errors import DecodeError, DeviceError
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.rigid import Rigid
@@ -18,7 +19,6 @@ from tacshade_edge.stitching.stitch_file import (
     open_session,
     read_info,
 )
-from tools.testbed.bumpy_surface import grid_poses, press_of
 
 POSES = grid_poses()[:3]
 POINTS = [press_of(pose, k) for k, pose in enumerate(POSES)]

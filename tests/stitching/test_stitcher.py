@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 from tacshade_edge.rigid import Rigid, shift
 from tacshade_edge.stitching import stitcher as module
 from tacshade_edge.stitching.press_points import NO_POINTS, PressPoints
 from tacshade_edge.stitching.stitcher import FinishedMap, Stitcher
-from tools.testbed.bumpy_surface import APEX_MM, grid_poses, height_mm, misreported, press_of
 
 TRUE = grid_poses()
 PRESSES = [press_of(pose, k) for k, pose in enumerate(TRUE)]

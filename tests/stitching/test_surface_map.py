@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import HALF, calibrated, pressed, step
 
+from support.calibrated_sensor import HALF, calibrated, pressed, step
 from tacshade_edge.rigid import shift, turn
 from tacshade_edge.stitching import stitcher
 from tacshade_edge.stitching.press_points import (

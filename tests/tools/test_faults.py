@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO
 from tools.faults import kills, table
 from tools.faults.rig import FAULTS
-from tools.testbed.mqtt_rig import MOSQUITTO
 
 pytestmark = [
     pytest.mark.slow,

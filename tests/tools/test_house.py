@@ -1,10 +1,28 @@
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
 
-from tools.ci.house import Room, names_twice, room_of, rooms, strangers, table
+from tools.ci.house import (
+    PACKAGE,
+    ROOT,
+    Room,
+    homeless_helpers,
+    modules_of,
+    names_twice,
+    room_of,
+    rooms,
+    strangers,
+    table,
+)
+
+OPEN_THE_LABORATORY = {
+    ("camera/sources.py", "lab.pressed_file.PressedFile"),
+    ("camera/sources.py", "lab.simulated_source.SimulatedSource"),
+}
+"""Sources of the settings, each inside the function that makes it."""
 
 
 @pytest.mark.parametrize(
@@ -72,3 +90,33 @@ def test_two_of_one_name_are_found(tmp_path: Path) -> None:
         "module own: one.own, other.own",
         "class Same: one.own, other.own",
     ]
+
+
+def test_tests_take_helpers_from_support_alone() -> None:
+    assert homeless_helpers() == []
+
+
+def test_a_helper_of_another_test_or_of_a_tool_is_homeless(tmp_path: Path) -> None:
+    for file, text in {
+        "lab/test_drag.py": "from support.patience import patience\nfrom tools import results\n",
+        "lab/test_sigma.py": "from tests.lab.test_drag import read\nimport tools.resultshop\n",
+        "tools/test_house.py": "from tools.ci import house\n",
+    }.items():
+        (tmp_path / "tests" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tests" / file).write_text(text)
+    assert homeless_helpers(tmp_path) == [
+        "tests/lab/test_sigma.py: tests.lab.test_drag.read",
+        "tests/lab/test_sigma.py: tools.resultshop",
+    ]
+
+
+@pytest.mark.slow  # it parses the whole package
+def test_only_commands_and_two_sources_open_the_laboratory() -> None:
+    found = {
+        (path.relative_to(ROOT / PACKAGE).as_posix(), ".".join(module))
+        for path in (ROOT / PACKAGE).rglob("*.py")
+        if path.relative_to(ROOT / PACKAGE).parts[0] not in ("cli", "lab")
+        for module in modules_of(ast.parse(path.read_text(encoding="utf-8")))
+        if module[0] == "lab"
+    }
+    assert found == OPEN_THE_LABORATORY

@@ -6,8 +6,8 @@ import csv
 from pathlib import Path
 
 import pytest
-from support.half_family import half_family
 
+from support.half_family import half_family
 from tools.studies import outline
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 import pytest
-from support.calibrated_sensor import HALF, calibrated, simulated
 
+from support.calibrated_sensor import HALF, calibrated, simulated
 from tools.studies.real_references import halves, span
 from tools.studies.real_sets import RealFrame
 

@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
+
 from support.booted_machine import LOCK
 from support.calibrated_sensor import calibrated, pressed
-
+from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
 from tools.release import bill, distributions
 from tools.release.version import UNKNOWN, version, version_of
-from tools.testbed.patience import patience
 
 ROOT = Path(__file__).parents[2]
 ADDRESS = "https://example.org/one"

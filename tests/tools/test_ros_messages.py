@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.published_sensor import CRC, bump
 from tacshade_client import CloudMessage, HeightMessage, TouchNumbers, decode
 
+from support.published_sensor import CRC, bump
 from tacshade_edge.calibration.indenters import Indenter, place
 from tacshade_edge.rigid import from_seven
 from tacshade_edge.types import U8

@@ -6,10 +6,10 @@ import csv
 from pathlib import Path
 
 import pytest
+
 from support.calibrated_sensor import calibrated
 from support.half_family import half_family
 from support.progress_lines import only_progress
-
 from tacshade_edge.calibration.files import calibration_file
 from tools.studies import drag
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import HALF
 from support.half_family import half_family
-
 from tacshade_edge.lab.simulator.press import Press, distances_mm
 from tools.studies import touching
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from support.networks import fitted_with
 from support.published_sensor import calibration, health
-
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import (

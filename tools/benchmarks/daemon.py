@@ -45,6 +45,7 @@ import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tacshade_edge.lab.studies.markdown import markdown
@@ -57,7 +58,6 @@ from tacshade_edge.settings import load
 from tacshade_edge.types import Frame
 from tacshade_edge.wire import binary
 from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
-from tools.testbed.mqtt_rig import Broker
 
 RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
 OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")

@@ -39,6 +39,7 @@ from typing import Any
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from support.mqtt_rig import Broker
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.wire import binary
@@ -46,7 +47,6 @@ from tacshade_edge.wire.hand_topics import HandObjects
 from tacshade_edge.wire.topics import decode_contact, decode_hand
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
 from tools.testbed.daemon_rig import cpu_s, pss_mb
-from tools.testbed.mqtt_rig import Broker
 
 PRESSED = 2
 TOPICS = ("height", "cloud", "contact")

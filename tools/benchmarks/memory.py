@@ -37,11 +37,11 @@ import numpy as np
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
 from tools.testbed.daemon_rig import BASE, FIELDS, draw_rings, memory_mb
-from tools.testbed.mqtt_rig import Broker
 
 TOP = 8
 SLOWEST_FPS = 1.0  # the bench gives up on a slower daemon

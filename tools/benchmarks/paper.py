@@ -8,7 +8,7 @@
 
 Processor time of single-threaded 640x480 frames in contact: the median over frames and rounds.
 *Off* compares heights of up to 3 mm with those of the published iteration
-(`tools.testbed.hybrid_sfs_oracle`) from the same g_hn; *rounding* is what the published iteration's
+(`support.hybrid_sfs_oracle`) from the same g_hn; *rounding* is what the published iteration's
 own heights change by if g_hn is rounded differently to float32. ME (eq. 13) takes each press's own
 ratio as α.
 """
@@ -22,6 +22,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from support.hybrid_sfs_oracle import unit_height
 from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
 from tacshade_edge.lab.studies.evaluate.score import KnownTruth, score_cloud
 from tacshade_edge.lab.studies.evaluate.work import calibrated
@@ -35,7 +36,6 @@ from tacshade_edge.sensor.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.sensor.profiles import PAPER_WITHOUT_EQ_11, PROFILES, Profile
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration, Frame
-from tools.testbed.hybrid_sfs_oracle import unit_height
 from tools.testbed.simulator.families import working_sensors
 
 STRIDES_PX = (1, 2, 4)

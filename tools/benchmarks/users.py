@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.image.preprocess import halved_calibration, halved_image
 from tools.benchmarks.daemon import KEPT, prepare
 from tools.benchmarks.hand import measure
-from tools.testbed.mqtt_rig import Broker
 
 USERS = {  # name: fingers, frames per second, outputs, topics
     "everything": (1, 60, "", ("height", "cloud", "contact", "shear", "sigma", "touch", "event/#")),

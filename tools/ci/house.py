@@ -27,6 +27,10 @@ USED = "Other rooms use:"
 """Begins the list of modules in the docstring of a room's `__init__`."""
 COMMANDS = ("cli", "commands")
 """Modules that have the names of commands, as others may too."""
+TOOLS_TESTS = "tools"
+"""The folder of tests that test tools, any of them."""
+TESTED = ("tools.examples", "tools.release", "tools.results", "tools.testbed.simulator")
+"""What other tests try too: what users copy, install and read, and the sensors of the studies."""
 COLUMNS = ("room", "lines", "nodes", "public names", "in", "out", "longest function", "comments %")
 
 
@@ -51,14 +55,19 @@ def room_of(module: tuple[str, ...]) -> str:
 
 def modules_of(tree: ast.AST) -> Iterator[tuple[str, ...]]:
     """The package's modules that a tree imports, by their names below the package."""
+    for name in _imported(tree):
+        package, *module = name.split(".")
+        if package == PACKAGE and module:
+            yield tuple(module)
+
+
+def _imported(tree: ast.AST) -> Iterator[str]:
+    """The dotted names that a tree imports."""
     for node in ast.walk(tree):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        for name in names:
-            package, *module = name.split(".")
-            if package == PACKAGE and module:
-                yield tuple(module)
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def rooms(root: Path = ROOT) -> dict[str, Room]:
@@ -100,6 +109,21 @@ def strangers(root: Path = ROOT) -> list[str]:
         found += [f"{room}.{name}: not in the docstring of {room}" for name in used[room] - named]
         found += [f"{room}.{name}: no other room uses it" for name in named - used[room]]
     return sorted(found)
+
+
+def homeless_helpers(root: Path = ROOT) -> list[str]:
+    """What tests import of each other, or of tools that they do not test: helpers belong in
+    `support`.
+    """
+    found = []
+    for path in sorted((root / "tests").rglob("*.py")):
+        of_tools = path.relative_to(root / "tests").parts[0] == TOOLS_TESTS
+        for name in _imported(ast.parse(path.read_text(encoding="utf-8"))):
+            folder = name.partition(".")[0]
+            tested = of_tools or f"{name}.".startswith(tuple(f"{each}." for each in TESTED))
+            if folder == "tests" or (folder == "tools" and not tested):
+                found.append(f"{path.relative_to(root)}: {name}")
+    return found
 
 
 def names_twice(root: Path = ROOT) -> list[str]:

@@ -24,12 +24,12 @@ from pathlib import Path
 
 import numpy as np
 
+from support.mqtt_rig import Broker
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import PROFILES
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.ci.run_tests import QUICK
 from tools.rig.arm64 import instructions_each
-from tools.testbed.mqtt_rig import Broker
 
 TREE = Path(__file__).resolve().parents[2]
 ARM = (sys.executable, "-m", "tools.rig.arm64")

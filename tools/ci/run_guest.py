@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
+from support.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Frame
-from tools.testbed.painted_sensor import FREE, TOUCHED, enlarged, enlarged_calibration
 
 TREE = Path(__file__).resolve().parents[2]
 GIVEN, OUT = TREE / ".rig/given", TREE / ".rig/out"

@@ -19,33 +19,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-
+from support.mqtt_rig import Broker, Subscriber
+from support.painted_sensor import painted_calibration, write_posed_images
+from support.patience import patience, wait_until
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.recording.recording import Recording
-from tools.testbed.mqtt_rig import Broker, Subscriber
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
 
-FREE_FRAMES, TOUCHED_FRAMES = 32, 32
-"""At 60 frames a second, a contact comes to rest (0.3 s),
-and a reference fits between two contacts.
-"""
 SENSOR_ID = "finger"
 BASE = f"tacshade/{SENSOR_ID}"
-
-
-def write_posed_images(folder: Path) -> None:
-    """Write frames of an untouched and a touched skin, all with the same pose."""
-    folder.mkdir(parents=True)
-    cv2.imwrite(str(folder / "free.png"), FREE)
-    cv2.imwrite(str(folder / "touched.png"), TOUCHED)
-    rows = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
-    for k in range(FREE_FRAMES + TOUCHED_FRAMES):
-        name = "free.png" if k < FREE_FRAMES else "touched.png"
-        rows.append(f"{name},{k * 16_666_667},1.5,-2,60,0,1,0,0")
-    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,13 +27,13 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from support.mqtt_rig import BridgeProcess, Broker, Subscriber
+from support.robot import PtyRobot
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tacshade_edge.recording.frame_table import read_table
 from tacshade_edge.robot.pose import PoseValues
 from tools.testbed.daemon_rig import draw_rings, memory_mb
-from tools.testbed.mqtt_rig import BridgeProcess, Broker, Subscriber
-from tools.testbed.robot import PtyRobot
 
 FINGERS = tuple(f"finger{k}" for k in range(5))
 PRESSED = 2

@@ -14,6 +14,8 @@ from tempfile import TemporaryDirectory
 
 import cv2
 
+from support.painted_sensor import BLACK, painted_calibration
+from support.robot import Faults, PtyRobot
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.files.atomic_files import FREE_FLOOR_BYTES
 from tacshade_edge.quoting import counted
@@ -30,8 +32,6 @@ from tools.faults.rig import (
     pause,
     small_disk,
 )
-from tools.testbed.painted_sensor import BLACK, painted_calibration
-from tools.testbed.robot import Faults, PtyRobot
 
 # The broker disappears, stalls, refuses or is shared, and requests that nobody should send.
 

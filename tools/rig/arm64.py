@@ -177,7 +177,7 @@ def enter(python: str, command: list[str]) -> None:
     check(PROGRAMS)
     emulator()
     root = user_space(python)
-    environment = ENVIRONMENT | {"PYTHONPATH": "/src/tests:/src:/opt/lock:/opt/dev"}
+    environment = ENVIRONMENT | {"PYTHONPATH": "/src:/opt/lock:/opt/dev"}
     words = (
         "unshare",
         "--mount",
@@ -203,7 +203,7 @@ def counted(script: list[str]) -> int:
     if not plugin.exists():
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(CPUINFO)
-    paths = (TREE / "tests", TREE, root / "opt/lock", root / "opt/dev")
+    paths = (TREE, root / "opt/lock", root / "opt/dev")
     # Without a fixed seed Python's start varies by a million instructions between runs.
     ours = {
         "PYTHONPATH": ":".join(map(str, paths)),

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from support import bad_pictures
 from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
 from tacshade_edge.calibration.observation import PressObservation, first_touch_mm
@@ -43,7 +44,6 @@ from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.inference.network import load_networks
 from tacshade_edge.types import U8
 from tools.studies import command
-from tools.testbed.simulator import bad_pictures
 
 REFERENCES, PRESSES = 5, 24
 

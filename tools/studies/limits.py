@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
+from support import bad_pictures
 from tacshade_edge.lab.parallel import Report, Workers, reported_map
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball, bars, ridge
@@ -39,7 +40,6 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
 from tools.studies import command
-from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import released
 
 Rng = np.random.Generator

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from msgspec import Meta
 
+from support.painted_sensor import FREE, painted_calibration
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.inputs import Inputs, StatedSensor
@@ -27,7 +28,6 @@ from tacshade_edge.types import (
     RestLimits,
     TouchModel,
 )
-from tools.testbed.painted_sensor import FREE, painted_calibration
 
 
 def assert_same(one: Any, other: Any) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.painted_sensor import painted_calibration
 from tacshade_edge.calibration.files import calibration_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import (
     IMAGES,
@@ -28,7 +29,6 @@ from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.npz import Content
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, RestLimits
-from tools.testbed.painted_sensor import painted_calibration
 
 SHAPE = (12, 16)
 SENSOR = StatedSensor(

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from support.examples import at_most
 from support.impossible_values import EXTREMES, changed, kinds, places
 from support.networks import shared_networks  # noqa: F401  a fixture
-
 from tacshade_edge.calibration.files import objects_file
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.types import KnownObject

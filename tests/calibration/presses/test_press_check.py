@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 
+from support.calibrated_sensor import HALF, calibrated, presses, simulated, unloaded
 from tacshade_edge.calibration.findings import FindingCode
 from tacshade_edge.calibration.indenters import box
 from tacshade_edge.calibration.inputs import KnownPress

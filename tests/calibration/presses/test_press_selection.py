@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from support.calibrated_sensor import (
     HALF,
     TACTIP,
@@ -19,7 +20,6 @@ from support.calibrated_sensor import (
     unloaded,
 )
 from support.observed_presses import PRESSES, SEEDS, observed
-
 from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.calibration.findings import CalibrationFinding, FindingCode
 from tacshade_edge.calibration.inputs import KnownPress

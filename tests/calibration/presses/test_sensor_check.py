@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
-from support.calibrated_sensor import HALF, presses, references, sensor_of
 
+from support.calibrated_sensor import HALF, presses, references, sensor_of
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.calibrated_sensor import FULL, calibrated, references, sensor_of, simulated
 from support.calibrated_sensor import presses as half_presses
 from support.observed_presses import SEEDS, observed
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.findings import Axes, CalibrationFinding, FindingCode
 from tacshade_edge.calibration.indenters import Ball, stated_ball

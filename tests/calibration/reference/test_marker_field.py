@@ -3,13 +3,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+
 from support.built_sensor import FIELD, PITCH_PX, pins_px, sparse_dome
 from support.calibrated_sensor import (
     HALF,
     TACTIP,
     references,
 )
-
 from tacshade_edge.calibration.reference.marker_field import choose_binarisation, find_markers
 from tacshade_edge.calibration.reference.pattern import (
     marker_pitch_px,

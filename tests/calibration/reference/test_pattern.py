@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from support.built_sensor import sparse_dome
 from support.calibrated_sensor import (
     FULL,
@@ -21,7 +22,6 @@ from support.calibrated_sensor import (
     simulated,
     unloaded,
 )
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.reference.pattern import (

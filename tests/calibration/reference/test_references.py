@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from support import bad_pictures
 from support.calibrated_sensor import (
     HALF,
     TACTIP,
@@ -20,7 +22,6 @@ from support.calibrated_sensor import (
     step,
     unloaded,
 )
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.findings import FindingCode
 from tacshade_edge.calibration.reference.references import (
@@ -49,7 +50,6 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F32, U8, Calibration, Frame
-from tools.testbed.simulator import bad_pictures
 from tools.testbed.simulator.families import OtherSensor, other_model
 
 pytestmark = pytest.mark.slow

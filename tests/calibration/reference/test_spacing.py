@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import HALF, TACTIP, references, sensor_of, simulated
 
+from support.calibrated_sensor import HALF, TACTIP, references, sensor_of, simulated
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.reference.marker_field import MarkerField
 from tacshade_edge.calibration.reference.spacing import (

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+
 from support.built_sensor import FIELD, PITCH_PX, SIZE, sparse_dome
 from support.calibrated_sensor import (
     FULL,
@@ -19,7 +20,6 @@ from support.calibrated_sensor import (
     random_sensor,
     references,
 )
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.reference.pattern import (

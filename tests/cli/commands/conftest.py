@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import pytest
 import yaml
+
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from support.sensor_files import write_files
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.lab.parallel import ThisProcess

@@ -13,10 +13,10 @@ from types import FrameType
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, unloaded
-from support.sensor_files import refused, rows_of, with_table
 
 import tacshade_edge
+from support.calibrated_sensor import calibrated, pressed, unloaded
+from support.sensor_files import refused, rows_of, with_table
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.calibration.indenters import Ball
 from tacshade_edge.cli import main

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.testbed.patience import patience, wait_until
+from support.patience import patience, wait_until
 
 pytestmark = [
     pytest.mark.slow,

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import calibrated, simulated
 from support.networks import fitted_with
 from support.sensor_files import refused, rows_of, with_table
-
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main

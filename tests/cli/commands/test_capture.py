@@ -8,8 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.person import Person, person
 
+from support.patience import wait_until
+from support.person import Person, person
+from support.robot import PtyRobot
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.files.press_table import read_presses
@@ -19,8 +21,6 @@ from tacshade_edge.cli.commands.capture import LEAST_TOUCHES
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.settings import load
-from tools.testbed.patience import wait_until
-from tools.testbed.robot import PtyRobot
 
 PLAN = "image,indenter,radius_mm,depth_mm,x_mm,y_mm\n"
 Press = Callable[..., None]

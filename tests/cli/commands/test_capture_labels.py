@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.person import Person, person
 
+from support.person import Person, person
+from support.robot import PtyRobot
 from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
 from tacshade_edge.rigid import shift, turn
-from tools.testbed.robot import PtyRobot
 
 Press = Callable[..., None]
 LATE_S = 0.3

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from support.painted_sensor import painted_calibration
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.settings import file_schema
-from tools.testbed.painted_sensor import painted_calibration
 
 GOOD = "calibration: c.npz\nsource: {kind: simulated}\n"
 FINGER = "{calibration: c.npz, source: {kind: simulated}, hand_T_sensor: [0, 0, 0, 1, 0, 0, 0]%s}"

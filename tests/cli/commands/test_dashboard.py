@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from support.mqtt_rig import certificate
+from support.patience import patience, stretched
 from tacshade_edge.cli import EXIT_CONFIG, main
-from tools.testbed.mqtt_rig import certificate
-from tools.testbed.patience import patience, stretched
 
 
 @contextmanager

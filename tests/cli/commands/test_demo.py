@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.browser import CHROMIUM, DRIVER, browser, errors
 
+from support.browser import CHROMIUM, DRIVER, browser, errors
+from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.patience import patience, wait_until
 from tacshade_edge.lab.demo import demo_hand
 from tacshade_edge.settings import load_hand
 from tacshade_edge.wire import binary
 from tacshade_edge.wire.topics import decode_hand
-from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
-from tools.testbed.patience import patience, wait_until
 
 # As on a machine without mosquitto.
 WITHOUT_MOSQUITTO = (

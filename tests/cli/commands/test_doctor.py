@@ -10,14 +10,14 @@ from pathlib import Path
 import cv2
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Broker, free_port
+from support.painted_sensor import FREE, painted_calibration
+from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_OK, main
 from tacshade_edge.cli.commands.doctor import shown
 from tacshade_edge.doctor import fault, warning
 from tacshade_edge.doctor.tail import measure_tail
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, free_port
-from tools.testbed.painted_sensor import FREE, painted_calibration
-from tools.testbed.patience import patience
 
 
 def write(folder: Path, port: int, more: str = "") -> str:

@@ -11,14 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.half_family import half_family
-from support.progress_lines import only_progress, without_progress
 
+from support.half_family import half_family
+from support.painted_sensor import BLACK, HEIGHT, TOUCHED, WIDTH, painted_calibration
+from support.progress_lines import only_progress, without_progress
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.lab.studies.evaluate.score import Row
 from tacshade_edge.types import Geometry
-from tools.testbed.painted_sensor import BLACK, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 WRITTEN = ["evaluation.csv", "evaluation.json", "evaluation.md"]
 SMALL = [

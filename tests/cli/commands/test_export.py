@@ -10,14 +10,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.recordings import record_hand
 
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from support.recordings import record_hand
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.cli import main
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.sensor.touch.touch_answer import PLAIN
 from tacshade_edge.types import Frame, Pose
-from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 
 IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]
 PERIOD_NS, T_NS, WALL_NS = 33_333_333, 500, 1_790_000_000_000_000_000

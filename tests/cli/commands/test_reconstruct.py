@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import calibrated, pressed, reconstructor, unloaded
 from support.progress_lines import without_progress
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.files.drawing import BAR_WIDTH_PX, LEFT_PX, RIGHT_PX

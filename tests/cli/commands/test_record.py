@@ -14,15 +14,15 @@ import cv2
 import numpy as np
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from support.patience import patience, wait_until
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.recording.frame_table import HEADER, read_table
 from tacshade_edge.recording.runs import HEIGHTS, payloads
 from tacshade_edge.settings import load
 from tacshade_edge.wire import binary
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
-from tools.testbed.patience import patience, wait_until
 
 pytestmark = [
     pytest.mark.slow,

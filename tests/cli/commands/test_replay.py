@@ -15,15 +15,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.golden_replay import FRAMES, GOLDEN, figures, write_input
-from support.recordings import write_recording
 
+from support.golden_replay import FRAMES, GOLDEN, figures, write_input
+from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
+from support.patience import patience, wait_until
+from support.recordings import write_recording
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.recording.runs import CLOUDS, HEIGHTS, SUMMARY, payloads
 from tacshade_edge.wire import binary
-from tools.testbed.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
-from tools.testbed.patience import patience, wait_until
 
 COMMAND = [sys.executable, "-m", "tacshade_edge"]
 IMAGES = [FREE, TOUCHED, TOUCHED, BLACK, FREE]

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
+from support.patience import patience, stretched, wait_until
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.wire import binary
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
-from tools.testbed.patience import patience, stretched, wait_until
 
 pytestmark = pytest.mark.slow
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+
 from support.calibrated_sensor import HALF
 from support.progress_lines import only_progress
-
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.lab.simulator.tacshade import OBJECT_SCALE

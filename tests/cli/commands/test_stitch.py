@@ -8,15 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.calibrated_sensor import HALF, calibrated, unloaded
-from support.progress_lines import without_progress
 
+from support.bumpy_surface import APEX_MM
+from support.calibrated_sensor import HALF, calibrated, unloaded
+from support.flange_plan import exact_frames
+from support.progress_lines import without_progress
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate, stitch
 from tacshade_edge.rigid import Rigid, shift, turn
-from tools.testbed.bumpy_surface import APEX_MM
-from tools.testbed.flange_plan import exact_frames
 
 pytestmark = pytest.mark.slow
 

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import cv2
 import pytest
+
 from support.calibrated_sensor import calibrated, pressed, unloaded
+from support.mqtt_rig import MOSQUITTO, Broker
+from support.patience import wait_until
 from support.progress_lines import without_progress
 from support.published_sensor import DISC, PublishedSensor, bump, unmeasured
-
 from tacshade_edge.calibration.files import calibration_file, objects_file
 from tacshade_edge.cli import EXIT_CONFIG, main
 from tacshade_edge.cli.commands.teach import deepest_of_each
 from tacshade_edge.library.result import Result, result_of
 from tacshade_edge.types import Geometry
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker
-from tools.testbed.patience import wait_until
 
 PROFILES = ("accurate", "balanced", "fast")
 

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import HALF, calibrated, found_prints, simulated
+from support.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 from support.progress_lines import only_progress, without_progress
 from support.trade_points import row
-
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import tradeoff
@@ -18,7 +19,6 @@ from tacshade_edge.cli.commands.tradeoff import OwnTwin
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.studies.tradeoff.judging import JudgedFrames, Setting
 from tacshade_edge.lab.studies.tradeoff.measure import Offer
-from tools.testbed.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 
 @pytest.fixture

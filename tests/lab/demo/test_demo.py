@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.patience import wait_until
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.lab.demo.child import Child, broker_command, free_port, wait_for_port
-from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
-from tools.testbed.patience import wait_until
 
 FULL_SIZE = 640 * 480 * 2 + 96
 

@@ -5,8 +5,8 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import TACTIP, calibrated, found_prints, pressed, simulated, step
 
+from support.calibrated_sensor import TACTIP, calibrated, found_prints, pressed, simulated, step
 from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.types import U8, Calibration, Reconstruction
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import (
     HALF,
     PIN_LENGTH_MM,
@@ -23,14 +24,13 @@ from support.calibrated_sensor import (
     unloaded,
 )
 from support.networks import float_network
-
+from support.patience import wait_until
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.depth.learned import KNOWN
 from tacshade_edge.sensor.inference.network import make_reconstructor, network_files, runtime
 from tacshade_edge.sensor.inference.onnx_weights import values_of
 from tacshade_edge.sensor.profiles import DEFAULT, LADDER, PROFILES
 from tacshade_edge.types import Calibration, Frame
-from tools.testbed.patience import wait_until
 
 if TYPE_CHECKING:
     from tacshade_edge.lab.fitting.fit import FitResult

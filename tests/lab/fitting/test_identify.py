@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import (
     HALF,
     PIN_LENGTH_MM,
@@ -14,7 +15,6 @@ from support.calibrated_sensor import (
     sensor_of,
     simulated,
 )
-
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.lab.simulator import skin, truth
 from tacshade_edge.lab.simulator.drag import drag_skin

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, presses
 
+from support.calibrated_sensor import calibrated, presses
 from tacshade_edge.sensor.depth.solver import Features
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, FittedNetwork

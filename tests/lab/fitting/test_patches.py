@@ -5,8 +5,8 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import TACTIP, calibrated, simulated
 
+from support.calibrated_sensor import TACTIP, calibrated, simulated
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.simulator.skin import undeformed
 from tacshade_edge.lab.simulator.truth import skin_under

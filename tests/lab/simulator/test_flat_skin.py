@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.calibrated_sensor import HALF
 from support.examples import examples
-
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel, flattened
 from tacshade_edge.lab.simulator.skin import press_skin, undeformed

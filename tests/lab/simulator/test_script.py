@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.examples import examples
 
+from support.examples import examples
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.simulator.script import Drag, Script, ball_presses
 from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model

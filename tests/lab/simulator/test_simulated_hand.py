@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.held_ball import BALL, DEPTH_MM, HOME, three_fingers
 
+from support.held_ball import BALL, DEPTH_MM, HOME, three_fingers
 from tacshade_edge.lab.simulator.press import Shape
 from tacshade_edge.lab.simulator.simulated_hand import (
     Grip,

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+
 from support.half_family import HALF_SENSOR, half_family
 from support.published_sensor import unmeasured
-
 from tacshade_edge.calibration.calibrate import CalibrationResult
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.parallel import ThisProcess

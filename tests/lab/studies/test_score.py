@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from support.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 from tacshade_edge.cli import main
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
@@ -30,7 +31,6 @@ from tacshade_edge.lab.studies.evaluate.score import (
 )
 from tacshade_edge.lab.studies.evaluate.work import read_images, reconstructor, score_cases
 from tacshade_edge.types import F32, Bool, Frame, Geometry, HeightMap, Reconstruction
-from tools.testbed.painted_sensor import DISC, FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 
 CLOUDS = hnp.arrays(
     np.float32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.floats(-30, 30, width=32)

@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from support.calibrated_sensor import HALF, calibrated, pressed, reconstructor, simulated, step
-from support.trade_points import row
 
+from support.calibrated_sensor import HALF, calibrated, pressed, reconstructor, simulated, step
+from support.painted_sensor import painted_calibration
+from support.trade_points import row
 from tacshade_edge.cli import main
 from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.lab.studies.evaluate.score import KnownTruth
@@ -33,7 +34,6 @@ from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer
 from tacshade_edge.lab.studies.tradeoff.tradeoff_report import Wish, choose
 from tacshade_edge.sensor.image.white import halved
 from tacshade_edge.types import Frame
-from tools.testbed.painted_sensor import painted_calibration
 
 NAN = Estimate(math.nan, math.nan, math.nan)
 

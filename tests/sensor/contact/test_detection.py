@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.pin_pattern import N, X, Y, disc, pattern
 
+from support.pin_pattern import N, X, Y, disc, pattern
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.contact.detection import DENT_PART, DENT_S, FAINT_GLARE, TouchDetector
 from tacshade_edge.sensor.contact.motion import WhiteChange

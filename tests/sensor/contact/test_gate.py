@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, unloaded
 
+from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, unloaded
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.sensor.contact.gate import (

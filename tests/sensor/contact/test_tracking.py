@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.published_sensor import bump, unmeasured
 
+from support.published_sensor import bump, unmeasured
 from tacshade_edge.sensor.contact.tracking import ContactTracker, follow
 from tacshade_edge.types import Slip, TouchedObject
 

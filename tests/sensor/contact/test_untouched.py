@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.published_sensor import unmeasured
 
+from support.published_sensor import unmeasured
 from tacshade_edge.reasons import Reason
 from tacshade_edge.sensor.contact.rest import WAYS, Evidence, limits_of
 from tacshade_edge.sensor.contact.untouched import (

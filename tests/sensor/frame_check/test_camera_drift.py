@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 
+from support import bad_pictures
+from support.calibrated_sensor import HALF, calibrated, pressed, presses, unloaded
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.sensor_model import random_model
 from tacshade_edge.reasons import text_of
@@ -20,7 +21,6 @@ from tacshade_edge.sensor.frame_check.camera_drift import (
 )
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.types import U8, Disc
-from tools.testbed.simulator import bad_pictures
 
 DISC = Disc(HALF.row_c, HALF.col_c, HALF.disc_radius_px)
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from support import bad_pictures
 from support.calibrated_sensor import HALF, calibrated, pressed
 from support.networks import saying
-
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.reasons import code_of, text_of
 from tacshade_edge.sensor.depth.learned import fold
@@ -22,7 +23,6 @@ from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import F32, U8, Bool, Disc, Frame, Reconstruction
-from tools.testbed.simulator import bad_pictures
 
 ROW, COL = np.mgrid[: disc_map.CELLS, : disc_map.CELLS] - (disc_map.CELLS - 1) / 2
 TOUCHED = np.hypot(ROW, COL) < 20

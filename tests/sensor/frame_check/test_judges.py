@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from support import bad_pictures
 from support.calibrated_sensor import (
     EVERY_PROFILE,
     FULL,
@@ -19,7 +21,6 @@ from support.calibrated_sensor import (
     unloaded,
 )
 from support.examples import examples
-
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
@@ -37,7 +38,6 @@ from tacshade_edge.sensor.image.white import eighth
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import U8, Disc, Frame
-from tools.testbed.simulator import bad_pictures
 
 
 def judges(model: SensorModel) -> Judges:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from support.examples import examples
 
+from support.examples import examples
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX, decode_image
 from tacshade_edge.sensor.geometry.disc import disc_mask

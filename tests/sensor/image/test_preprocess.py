@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from support.built_sensor import built_calibration
 from support.calibrated_sensor import (
     FULL,
@@ -18,7 +19,6 @@ from support.calibrated_sensor import (
     random_sensor,
     unloaded,
 )
-
 from tacshade_edge.calibration.reference.pattern import marker_pitch_px
 from tacshade_edge.calibration.reference.references import PROFILE
 from tacshade_edge.lab.simulator import camera_faults

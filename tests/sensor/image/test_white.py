@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from support.examples import examples
 
+from support.examples import examples
 from tacshade_edge.sensor.geometry import disc_map
 from tacshade_edge.sensor.geometry.disc import Grid, Window, disc_mask
 from tacshade_edge.sensor.image import white as white_module

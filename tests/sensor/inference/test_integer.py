@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.integer_codes import NAMES, Integers, crc32, given
 from support.networks import float_network, float_shear
-
 from tacshade_edge.sensor.depth import Network
 from tacshade_edge.sensor.inference.network import load_network
 from tacshade_edge.sensor.inference.onnx_weights import Node
@@ -189,7 +189,7 @@ def test_codes_hold_what_a_press_makes(name: str) -> None:
 def test_every_processor_makes_these_codes(name: str) -> None:
     """`make test-arm` runs it on a board's processor.
 
-    The golden file changes with the weights alone: ``PYTHONPATH=tests .venv/bin/python -m
+    The golden file changes with the weights alone: ``.venv/bin/python -m
     support.integer_codes > tests/golden/integers.json``.
     """
     assert f"{crc32(name):08x}" == json.loads(GOLDEN.read_text())[name]
@@ -201,10 +201,9 @@ def test_every_processor_makes_these_codes(name: str) -> None:
 def test_processors_without_vnni_make_these_codes(processor: str) -> None:
     """With AVX2, and with SSE 4.2 alone: there the runtime adds products in int16."""
     command = ("qemu-x86_64", "-cpu", processor, sys.executable, "-m", "support.integer_codes")
-    folder = Path(__file__).parents[2]
     # A kernel that the machine chose for its own processor is none of the emulated one's.
     inherited = {key: text for key, text in os.environ.items() if not key.startswith("OPENBLAS_")}
-    environment = inherited | {"PYTHONPATH": f"{folder.parent}:{folder}"}
+    environment = inherited | {"PYTHONPATH": str(Path(__file__).parents[3])}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == json.loads(GOLDEN.read_text())
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from support.calibrated_sensor import calibrated, pressed, unloaded
 from support.networks import fitted_network, fitted_with
-
 from tacshade_edge.calibration.files.calibration_file import VERSION
 from tacshade_edge.calibration.reference.references import rezero
 from tacshade_edge.sensor.depth.learned import KNOWN, Network

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -8,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.calibrated_sensor import calibrated, pressed, unloaded
 
+from support.calibrated_sensor import calibrated, pressed, unloaded
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file, objects_file
 from tacshade_edge.calibration.files.objects_file import Known, path_beside
@@ -112,5 +111,4 @@ def test_nothing_of_it_is_imported_without_taught_objects() -> None:
         "assert not [name for name in sys.modules if 'recognition' in name]"
     )
     root = Path(__file__).parents[3]
-    environment = os.environ | {"PYTHONPATH": str(root / "tests")}
-    subprocess.run([sys.executable, "-c", code], cwd=root, env=environment, check=True)
+    subprocess.run([sys.executable, "-c", code], cwd=root, check=True)

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+
 from support.calibrated_sensor import HALF, calibrated, pressed, simulated, unloaded
 from support.networks import shared_networks
-
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.sensor.contact.rest import LEAST_FRAMES

@@ -21,9 +21,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
-from tools.testbed.mqtt_rig import Broker
 
 RECORD = Path(__file__).parent / "record.py"
 SENSOR_ID = "left-index"

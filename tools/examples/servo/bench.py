@@ -36,10 +36,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from support.mqtt_rig import Broker
 from tacshade_edge.lab.simulator.render import Renderer
 from tacshade_edge.lab.simulator.skin import undeformed
 from tacshade_edge.lab.studies.markdown import markdown
-from tools.testbed.mqtt_rig import Broker
 from tools.testbed.servo.skins import MODEL
 from tools.testbed.servo.world import Scene, scene
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration.files import calibration_file, objects_file, reference_file
 from tacshade_edge.calibration.files.reference_file import LearntLimits, StoredReference, limited
 from tacshade_edge.daemon import reference_origin
@@ -35,7 +36,6 @@ from tacshade_edge.types import (
     Reconstruction,
     RestLimits,
 )
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 EXTREMES = (0, -1, 1e-300, 1e30, 1e300, math.nan, math.inf, 2**63, 10**30)
 PROFILE = "fast"

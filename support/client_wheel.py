@@ -8,9 +8,9 @@ import sysconfig
 import zipfile
 from pathlib import Path
 
-from tools.testbed.patience import patience
+from support.patience import patience
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 # -S: the checkout's own installation is not seen, only what lies in the same folder.
 ALONE = (sys.executable, "-I", "-S", "-c")
 _BEGIN = """

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tools.testbed.patience import patience
+from support.patience import patience
 
 
 @contextmanager

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import cv2
 
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.types import U8, Frame
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
 HEADER = "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
-from tools.testbed.patience import slowness, wait_until
+from support.patience import slowness, wait_until
 
 NODE = "/dev/video0"
 UDEV = ("systemd-udevd-control.socket", "systemd-udevd-kernel.socket", "systemd-udevd.service")

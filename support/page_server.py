@@ -10,10 +10,11 @@ from typing import Any
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
 
+from support.patience import patience
 from tacshade_edge.dashboard import server
 from tacshade_edge.dashboard.relay import Broker as Address
-from tools.testbed.patience import patience
 
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 TOKEN = "a-token-of-this-test"
@@ -64,7 +65,7 @@ async def tcp(serve: Serve) -> AsyncIterator[int]:
 def websocket(port: int, **words: Any) -> connect:
     return connect(
         f"ws://127.0.0.1:{port}/mqtt",
-        subprotocols=["mqtt"],
+        subprotocols=[Subprotocol("mqtt")],
         compression=None,
         max_size=None,
         **words,

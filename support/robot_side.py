@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+from support.patience import wait_until
 from tacshade_edge.pipeline.observer import Reply
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot, SharedLine
 from tacshade_edge.wire.requests import Request
-from tools.testbed.patience import wait_until
 
 
 class Side:

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.patience import promised, wait_until
 from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.wire.requests import Request
-from tools.testbed.mqtt_rig import MOSQUITTO, Subscriber
-from tools.testbed.patience import promised, wait_until
 
 BASE = "tacshade/test"
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.patience import patience, wait_until
 from tacshade_edge.daemon.app import App
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.pipeline.ledger import Counts
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, load
 from tacshade_edge.types import U8, Calibration
-from tools.testbed.mqtt_rig import MOSQUITTO, Broker, Subscriber
-from tools.testbed.patience import patience, wait_until
 
 BASE = "tacshade/hand-1"
 NEEDS_BROKER = [

@@ -16,7 +16,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from tools.testbed.patience import patience
+from support.patience import patience
 
 UNIT = "tacshade-edge.service"
 CONFIG = Path("/etc/tacshade-edge/config.yaml")

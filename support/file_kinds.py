@@ -15,7 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from support.bumpy_surface import grid_poses, press_of
 from support.networks import fitted_with
+from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import packed
@@ -42,10 +44,8 @@ from tacshade_edge.stitching.stitch_file import (
     open_session,
 )
 from tacshade_edge.types import Calibration, Frame, Pose, RestLimits
-from tools.testbed.bumpy_surface import grid_poses, press_of
-from tools.testbed.painted_sensor import FREE, TOUCHED, painted_calibration
 
-CONFIG = Path(__file__).parents[2] / "config" / "default.yaml"
+CONFIG = Path(__file__).parents[1] / "config" / "default.yaml"
 SENSOR_ID = "finger"
 _log = logging.getLogger("tacshade_edge.damaged_files")
 Files = dict[str, bytes]

@@ -2,7 +2,7 @@
 
 ::
 
-    .venv/bin/python -m tools.testbed.robot --link /dev/shm/robot [--rate 100] [--binary]
+    .venv/bin/python -m support.robot --link /dev/shm/robot [--rate 100] [--binary]
         [--seconds 20] [--line usb|loaded|ftdi] [--drift-ppm 40] [--lose 0.01] [--damage 0.01]
         [--stall 5:0.3] [--reboot 10] [--one-way]
 

@@ -103,12 +103,10 @@ def _assert_wire(result: Reconstruction) -> None:
     said = json.loads(messages.encode_contact(result, fps=0.0))
     nothing = {key for key, value in said.items() if value is None}
     sheared = result.contact and result.shear_mm is not None
-    expected = {"slip", "slip_mm_s"} | (set() if result.contact else {"x_mm", "y_mm"})
+    unknown = {"slip", "slip_mm_s"} | (set() if result.contact else {"x_mm", "y_mm"})
     if not result.valid:
-        expected |= {"contact", "touched", "objects", "depth_max_mm", "area_mm2", "volume_mm3"}
-    assert nothing - {"twist_deg"} == expected | (
-        set() if sheared else {"shear_x_mm", "shear_y_mm"}
-    )
+        unknown |= {"contact", "touched", "objects", "depth_max_mm", "area_mm2", "volume_mm3"}
+    assert nothing - {"twist_deg"} == unknown | (set() if sheared else {"shear_x_mm", "shear_y_mm"})
     if result.shear_mm is not None:
         shear = binary.decode(binary.encode_shear(result, calibration_crc32=1))
         assert isinstance(shear, binary.ShearMessage)

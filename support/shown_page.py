@@ -17,9 +17,9 @@ from selenium.webdriver.common.by import By
 
 from support.browser import CHROMIUM, DRIVER
 from support.growing_map import GrowingMap
+from support.mqtt_rig import MOSQUITTO
+from support.patience import patience, wait_until
 from support.published_sensor import PublishedSensor
-from tools.testbed.mqtt_rig import MOSQUITTO
-from tools.testbed.patience import patience, wait_until
 
 _MISSING = [
     name

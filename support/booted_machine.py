@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from tools.testbed.patience import patience
+from support.patience import patience
 
-CHECKOUT = Path(__file__).parents[2]
+CHECKOUT = Path(__file__).parents[1]
 
 
 def cannot_boot() -> str:
@@ -34,16 +34,8 @@ def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[
     parts = {
         f"tests/service/{scenario}": scenario,
         **{
-            f"tests/support/{name}": f"support/{name}"
-            for name in ("__init__.py", "booted_service.py")
-        },
-        **{
-            path: path
-            for path in (
-                "tools/__init__.py",
-                "tools/testbed/__init__.py",
-                "tools/testbed/patience.py",
-            )
+            f"support/{name}": f"support/{name}"
+            for name in ("__init__.py", "booted_service.py", "patience.py")
         },
     }
     for path, there in parts.items():
@@ -54,7 +46,7 @@ def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[
     )
     (folder / "scenario").chmod(0o755)
     limit = os.environ | {"LIMIT_S": f"{patience(120):.0f}"}
-    command = [CHECKOUT / "tools/rig/boot_systemd.sh", folder, *options]
+    command = [str(CHECKOUT / "tools/rig/boot_systemd.sh"), str(folder), *options]
     done = subprocess.run(command, env=limit, capture_output=True, text=True, check=False)
     if done.returncode == 125:
         pytest.skip(f"systemd cannot be booted here: {(done.stdout + done.stderr).strip()[-300:]}")
@@ -64,7 +56,7 @@ def seen_there(folder: Path, scenario: str, python: str, *options: str) -> dict[
     return result
 
 
-LOCK = Path(__file__).parents[2] / "systemd/requirements.lock"
+LOCK = Path(__file__).parents[1] / "systemd/requirements.lock"
 
 
 def fetch(folder: Path) -> Path:

@@ -5,6 +5,7 @@ for tests of the code around the core.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,6 +20,10 @@ HEIGHT, WIDTH, PITCH_PX = 120, 160, 8.0
 SCALE = 4  # of `enlarged`
 PRESSED_PX, SPREAD = 20.0, 0.16
 DISC = Disc(59.5, 79.5, 52.0)
+FREE_FRAMES, TOUCHED_FRAMES = 32, 32
+"""At 60 frames a second, a contact comes to rest (0.3 s),
+and a reference fits between two contacts.
+"""
 
 
 def painted(*, touched: bool = False) -> U8:
@@ -98,3 +103,15 @@ def enlarged_calibration() -> Calibration:
         reference_white=enlarged(small.reference_white),
         reference_grey=enlarged(small.reference_grey),
     )
+
+
+def write_posed_images(folder: Path) -> None:
+    """Write frames of an untouched and a touched skin, all with the same pose."""
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / "free.png"), FREE)
+    cv2.imwrite(str(folder / "touched.png"), TOUCHED)
+    rows = ["image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    for k in range(FREE_FRAMES + TOUCHED_FRAMES):
+        name = "free.png" if k < FREE_FRAMES else "touched.png"
+        rows.append(f"{name},{k * 16_666_667},1.5,-2,60,0,1,0,0")
+    (folder / "frames.csv").write_text("\n".join(rows) + "\n")

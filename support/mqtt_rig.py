@@ -20,7 +20,7 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 
-from tools.testbed.patience import patience, wait_until
+from support.patience import patience, wait_until
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:

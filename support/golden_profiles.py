@@ -3,7 +3,7 @@ pages of results stand on them.
 
 After a change that is meant to move the figures::
 
-    PYTHONPATH=tests .venv/bin/python -m support.golden_profiles
+    .venv/bin/python -m support.golden_profiles
 
 writes tests/golden/profiles anew, a file for the simulator and each profile; look at the diff
 before committing it. Pages of docs/results that have such a profile are stale then: see
@@ -26,7 +26,7 @@ from tacshade_edge.lab.simulator.truth import SimulatedFrame
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Reconstruction
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "profiles"
+GOLDEN = Path(__file__).parents[1] / "tests/golden" / "profiles"
 DEPTHS_MM = (1.0, 1.5, 2.0)
 FARTHEST_MM = 2.5
 SEED = 6100

@@ -14,10 +14,10 @@ from types import TracebackType
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from tools.testbed.mqtt_rig import Broker, free_port
-from tools.testbed.patience import wait_until
+from support.mqtt_rig import Broker, free_port
+from support.patience import wait_until
 
-FILES = Path(__file__).parents[2] / "config" / "fleet"
+FILES = Path(__file__).parents[1] / "config" / "fleet"
 USER, WORD = "dashboard", "seen"
 
 

@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
+from support.bumpy_surface import APEX_MM, DOWN, misreported, press_of
 from tacshade_edge.lab.simulator.pad import about_apex
 from tacshade_edge.rigid import Rigid, shift, turn
 from tacshade_edge.stitching.flange import ContactFrame
 from tacshade_edge.stitching.refinement import thin_points
 from tacshade_edge.types import F64, Pose
-from tools.testbed.bumpy_surface import APEX_MM, DOWN, misreported, press_of
 
 SPOTS_MM = tuple((x, y) for y in (-9.0, -3.0, 3.0, 9.0) for x in (-12.0, -6.0, 0.0, 6.0, 12.0))
 TURNS_DEG = (

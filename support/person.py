@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from tools.testbed.patience import patience
+from support.patience import patience
 
 
 class Person:

@@ -3,7 +3,7 @@ and what the pipeline made of them when it was last looked at.
 
 After a change that is meant to move the figures::
 
-    PYTHONPATH=tests .venv/bin/python -m support.golden_replay
+    .venv/bin/python -m support.golden_replay
 
 writes tests/golden/replay.json anew; look at its diff before committing it.
 """
@@ -22,7 +22,7 @@ from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
 from tacshade_edge.lab.simulator.script import Script, demonstration
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "replay.json"
+GOLDEN = Path(__file__).parents[1] / "tests/golden" / "replay.json"
 FRAMES = 200
 SEED = 5000  # none of the calibration's images has one of these
 SCRIPT = Script(
