@@ -83,9 +83,9 @@ def _read() -> dict[str, Network]:
 @pytest.fixture(autouse=True, scope="module")
 def shared_networks() -> Iterator[None]:
     """As the daemon's parts share them (`preload`)."""
-    network._for_all.update(_read())
+    network.PRELOADED.update(_read())
     yield
-    network._for_all.clear()
+    network.PRELOADED.clear()
 
 
 def fitted_network(profile: str, by: float = 0.0, layout: str | None = None) -> FittedNetwork:

@@ -14,6 +14,7 @@ exposure : float   times what was asked
 extra_bytes : int  more (or fewer) in each frame
 records : bool     whether it describes frames
 says : str         written to its standard error before it ends with 255, at once
+notes : str        a file where it writes its arguments, as JSON
 stalls : int       after so many frames it writes nothing more
 behind : int       so many first frames come at once, then what it says of them,
                    of the last one a little later
@@ -66,6 +67,8 @@ def main() -> int:
         parser.add_argument(f"--{name}", action="store_true")
     args = parser.parse_args()
     do = json.loads(os.environ.get("STAND_IN", "{}"))
+    if notes := do.get("notes"):
+        Path(notes).write_text(json.dumps(vars(args)))
     if says := do.get("says"):
         print(says, file=sys.stderr)
         return 255

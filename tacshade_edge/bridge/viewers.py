@@ -63,7 +63,9 @@ Schema: TypeAlias = foxglove.Schema | dict[str, Any]
 
 
 @dataclass(slots=True, eq=False)
-class _Viewer:
+class Viewer:
+    """A connected viewer: what it subscribed to, and what waits for it."""
+
     socket: ServerConnection
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     # From channel to the viewer's own number.
@@ -107,7 +109,7 @@ class Viewers:
         self._numbers = itertools.count()
         # As the protocol's `advertise` describes them.
         self._channels: dict[int, dict[str, Any]] = {}
-        self._viewers: list[_Viewer] = []
+        self._viewers: list[Viewer] = []
         self.missed = 0
         self._listener = ListeningSocket(host, port, Connections(CONNECTIONS_MAX).admit)
         self.port: int = self._listener.getsockname()[1]
@@ -135,8 +137,12 @@ class Viewers:
 
     def watched(self, number: int) -> bool:
         """Whether anybody watches a channel."""
+        return any(number in viewer.subscriptions for viewer in self.viewers())
+
+    def viewers(self) -> tuple[Viewer, ...]:
+        """Return who is connected now."""
         # A copy: the server's thread changes the list meanwhile.
-        return any(number in viewer.subscriptions for viewer in tuple(self._viewers))
+        return tuple(self._viewers)
 
     def send(self, number: int, payload: bytes) -> None:
         self._soon(self._queue, number, time.time_ns(), payload)
@@ -203,7 +209,7 @@ class Viewers:
                 _TRY_AGAIN, f"{VIEWERS_MAX} viewers, the maximum, are already connected"
             )
             return
-        viewer = _Viewer(socket)
+        viewer = Viewer(socket)
         viewer.put(_SERVER_INFO)
         viewer.put(_advertisement(self._channels))
         self._viewers.append(viewer)
@@ -223,7 +229,7 @@ class Viewers:
                 )
             self._on_change()
 
-    def _hear(self, viewer: _Viewer, message: str | bytes) -> None:
+    def _hear(self, viewer: Viewer, message: str | bytes) -> None:
         """Process a viewer's request; if it is malformed, report that to the viewer."""
         try:
             wanted = decode_object("viewer", message.encode() if isinstance(message, str) else b"")
@@ -240,7 +246,7 @@ class Viewers:
                 }
         self._on_change()
 
-    def _subscribe(self, viewer: _Viewer, subscription: Any) -> None:
+    def _subscribe(self, viewer: Viewer, subscription: Any) -> None:
         match subscription:
             case {"id": int(own), "channelId": int(channel)} if (
                 0 <= own < 2**32 and channel in self._channels
@@ -251,7 +257,7 @@ class Viewers:
                 viewer.put(_status(f"Unknown channel ID: {channel}"))
 
 
-async def _send_all(viewer: _Viewer) -> None:
+async def _send_all(viewer: Viewer) -> None:
     """Send a viewer's messages; only this waits for a slow viewer,
     and it disconnects one that reads nothing.
     """

@@ -280,10 +280,7 @@ class Supervisor:
 
     def _start_again(self, part: _Part, why: str) -> None:
         now_s = time.monotonic()
-        is_steady = now_s - part.began_s >= STEADY_S
-        part.wait_s = (
-            RESTART_S if is_steady else min(max(2 * part.wait_s, RESTART_S), RESTART_MAX_S)
-        )
+        part.wait_s = restart_wait_s(part.wait_s, now_s - part.began_s)
         part.again_s = now_s + part.wait_s
         part.status = f"{why}; restarting in {part.wait_s:.0f} s"
         _log.error("%s: %s", part.name, part.status)
@@ -305,6 +302,13 @@ class Supervisor:
         # Only if no sensor can ever work: systemd does not start a service again after this code.
         codes = {sensor.code for sensor in self._sensors}
         return EXIT_CONFIG if codes == {EXIT_CONFIG} else 0
+
+
+def restart_wait_s(waited_s: float, ran_s: float) -> float:
+    """How long a process waits that waited so long for its latest start, and ran so long then."""
+    if ran_s >= STEADY_S:
+        return RESTART_S
+    return min(max(2 * waited_s, RESTART_S), RESTART_MAX_S)
 
 
 def name_of(part: Document | Hand) -> str:

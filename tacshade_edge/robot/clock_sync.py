@@ -121,7 +121,8 @@ class ClockSync:
     def __init__(self) -> None:
         self.counts = SyncCounts()
         self._stamps = StreamClock()
-        self._reason_none = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
+        # Why the clock is unknown, or was the last time that it was.
+        self.reason_unknown = Reason(ReasonCode.NOTHING_RECEIVED, "the robot has sent nothing yet")
         # The times t1, t2, t3 of the latest SYNC; t4 comes with the next.
         self._open: tuple[int, int, int] | None = None
         self._exchanges: deque[_Exchange] = deque(maxlen=EXCHANGES_KEPT)
@@ -140,7 +141,7 @@ class ClockSync:
 
     def _restart(self, reason: Reason) -> None:
         self._forget()
-        self._reason_none = reason
+        self.reason_unknown = reason
         self.counts.restarts += 1
 
     def sync_received(self, t1_ns: int, t2_ns: int, t4_ns: int | None) -> None:
@@ -211,7 +212,7 @@ class ClockSync:
         if (off := self._stamps.found) is not None:
             return SyncState("none", Reason(ReasonCode.CLOCK_UNIT, str(off)), 0, 0.0, 0, off)
         if line is None or newest_ns is None:
-            return SyncState("none", self._reason_none, 0, 0.0, 0)
+            return SyncState("none", self.reason_unknown, 0, 0.0, 0)
         local = line.local(newest_ns)
         drift_ppm = 1e6 * line.slope
         reason = None

@@ -120,7 +120,7 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Verb:
+class SerialVerb:
     """A verb's arguments as ``HELP`` shows them, how many there may be,
     and what raises DecodeError for wrong ones.
 
@@ -134,29 +134,29 @@ class _Verb:
     check: Callable[[Sequence[str]], object] = len
 
 
-_VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
-    "HELLO": _Verb("1 [crc=req|opt] [boot=ID]"),
-    "SYNC": _Verb("t1 [t4]", 1, 2, check=lambda args: [parse_time(text) for text in args]),
-    "POSE": _Verb("t x y z qw qx qy qz"),
-    "CAPTURE": _Verb(),
-    "REFERENCE": _Verb(),
-    "STITCH": _Verb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
-    "TOUCH": _Verb(
+VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
+    "HELLO": SerialVerb("1 [crc=req|opt] [boot=ID]"),
+    "SYNC": SerialVerb("t1 [t4]", 1, 2, check=lambda args: [parse_time(text) for text in args]),
+    "POSE": SerialVerb("t x y z qw qx qy qz"),
+    "CAPTURE": SerialVerb(),
+    "REFERENCE": SerialVerb(),
+    "STITCH": SerialVerb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
+    "TOUCH": SerialVerb(
         f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}",
         1,
         NAMES_MAX + 2,
         check=parse_touch,
     ),
-    "STATUS": _Verb(),
-    "MODE": _Verb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
-    "HELP": _Verb("[VERB]"),
+    "STATUS": SerialVerb(),
+    "MODE": SerialVerb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
+    "HELP": SerialVerb("[VERB]"),
 }
-USAGE: Final = {name: f"{name} {verb.usage}".strip() for name, verb in _VERBS.items()}
+USAGE: Final = {name: f"{name} {verb.usage}".strip() for name, verb in VERBS.items()}
 
 
 def parse_command(line: Line, arrived_ns: int) -> Command | Reason:
     """Parse a line that takes a number, or return why it is not valid."""
-    verb, args = _VERBS.get(line.verb), line.args
+    verb, args = VERBS.get(line.verb), line.args
     if verb is None:
         return _unknown_verb(line.verb)
     if verb.words:

@@ -228,7 +228,7 @@ def test_a_viewer_that_reads_nothing_is_bounded_and_no_other_waits_for_it() -> N
             server.send(pictures, bytes(1 << 20))
         server.send(others, b"{}")
         assert other.until("others") == [{}]
-        one = next(each for each in server._viewers if each.subscriptions == {pictures: pictures})
+        one = next(each for each in server.viewers() if each.subscriptions == {pictures: pictures})
         assert one.missed > 100  # what the kernel's buffers took was sent
         assert sum(map(len, one.waiting)) == one.waiting_bytes <= viewers.WAITING_BYTES_MAX
     wait_until(lambda: server.missed == one.missed, 10, "counted")

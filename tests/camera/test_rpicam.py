@@ -196,9 +196,9 @@ def test_no_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("asked", "found"), [(None, 1), (12.5, 12.5)])
 def test_a_lens_that_moves_is_locked(
-    stand_in: Callable[..., None], asked: float | None, found: float
+    stand_in: Callable[..., None], tmp_path: Path, asked: float | None, found: float
 ) -> None:
-    stand_in(lens=True)
+    stand_in(lens=True, notes=str(tmp_path / "arguments.json"))
     camera = RpicamSource(0, W, H, 50, 4000, 2.0, lens_position=asked, sensor_mode="1640:1232")
     frames(camera, 1)
     described = camera.describe()
@@ -206,4 +206,4 @@ def test_a_lens_that_moves_is_locked(
         f"locked at {found:g} dioptres",
         "locked",
     )
-    assert camera._command[camera._command.index("--mode") + 1] == "1640:1232"
+    assert json.loads((tmp_path / "arguments.json").read_text())["mode"] == "1640:1232"

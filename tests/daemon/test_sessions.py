@@ -19,7 +19,6 @@ import pytest
 from support.calibrated_sensor import calibrated, pressed, step, unloaded
 from support.patience import patience, wait_until
 from support.synced_names import synced, unsynced
-from tacshade_edge.errors import DeviceError
 from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.port import SerialPort
@@ -411,13 +410,8 @@ def test_what_was_not_added_is_counted_and_published(
     robot.end()
 
 
-def test_a_stop_does_not_wait_for_a_map(
-    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = Robot(tmp_path)
-    robot.show(ball)
-    robot.ask("BEGIN", "pad")
-    robot.add(ball)
+def maps_wait(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Let no map be finished before the event is set."""
     finish, go_on = Stitcher.finish, threading.Event()
 
     def slow(stitcher: Stitcher) -> FinishedMap:
@@ -425,6 +419,17 @@ def test_a_stop_does_not_wait_for_a_map(
         return finish(stitcher)
 
     monkeypatch.setattr(Stitcher, "finish", slow)
+    return go_on
+
+
+def test_a_stop_does_not_wait_for_a_map(
+    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = Robot(tmp_path)
+    robot.show(ball)
+    robot.ask("BEGIN", "pad")
+    robot.add(ball)
+    go_on = maps_wait(monkeypatch)
     robot.begin("END")
     wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
     robot.sessions.stop(0.01)
@@ -434,7 +439,17 @@ def test_a_stop_does_not_wait_for_a_map(
     robot.end()
 
 
-def test_a_press_that_waited_until_its_session_had_ended_is_refused(robot: Robot) -> None:
-    press: Any = None
-    with pytest.raises(DeviceError, match="the session has ended"):
-        robot.sessions._add(press, Frame(1, 0, 0, np.zeros((4, 4), np.uint8)), press)
+def test_a_press_that_waited_until_its_session_had_ended_is_refused(
+    robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    robot.add(ball)
+    go_on = maps_wait(monkeypatch)
+    ended = robot.begin("END")
+    wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
+    added = robot.begin("ADD")
+    robot.show(ball)
+    go_on.set()
+    assert isinstance(wait(ended), SessionEnded)
+    assert wait(added) == Reason(ReasonCode.NO_SESSION, "the session has ended")

@@ -140,7 +140,12 @@ def test_who_guesses_locks_out_no_browser_that_is_logged_in(login: Login, as_coo
 
 
 def test_so_many_browsers_and_addresses_are_remembered_and_no_more(login: Login) -> None:
-    for k in range(300):
-        assert login.refusal(None, cookie(login), "a", 0.0) is None
-        login.refusal("wrong", None, f"address {k}", 0.0)
-    assert len(login._browsers) == len(login._tries) == 256
+    browsers = [cookie(login) for _ in range(300)]
+    for k, browser in enumerate(browsers):
+        assert login.refusal(None, browser, "a", 0.0) is None
+        for n in range(WRONG_MAX):
+            login.refusal(f"wrong {n}", None, f"address {k}", 0.0)
+    of_addresses = [login.refusal(WORD, None, f"address {k}", 0.0) for k in range(300)]
+    assert of_addresses == [None] * 44 + [TOO_MANY] * 256
+    of_browsers = [login.refusal(None, browser, "address 299", 0.0) for browser in browsers]
+    assert of_browsers == [TOO_MANY] * 44 + [None] * 256

@@ -146,7 +146,8 @@ async def test_pings_that_are_never_read_do_not_fill_the_memory(
         upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         writer.write(b"GET /mqtt HTTP/1.1\r\nHost: a\r\n" + upgrade + key + b"\r\n")
         await reader.readexactly(12)
-        reader._transport.pause_reading()  # type: ignore[attr-defined]
+        assert isinstance(writer.transport, asyncio.Transport)
+        writer.transport.pause_reading()
 
         async def flood() -> None:
             while True:

@@ -116,7 +116,9 @@ class Buffered:
         return {}
 
 
-def test_the_newest_wins(sensor: ts.Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_newest_wins(
+    sensor: ts.Sensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now_ns = 10**12
     monkeypatch.setattr(frames.time, "monotonic_ns", lambda: now_ns)
     ages: list[float | Exception] = [
@@ -131,7 +133,9 @@ def test_the_newest_wins(sensor: ts.Sensor, monkeypatch: pytest.MonkeyPatch) -> 
         900,
     ]
     source = Buffered(ages, now_ns)
-    results = frames._Live(source, sensor, fps=30)
+    monkeypatch.setattr(frames.sources, "make_source", lambda *_: source)
+    (tmp_path / "config.yaml").write_text("source: {kind: simulated, fps: 30}\n")
+    results = ts.open(tmp_path / "config.yaml", sensor)
     assert [round((now_ns - next(results).t_ns) / 1e6) for _ in range(2)] == [20, 5]
     assert results.passed_over == 5 + 3
     with pytest.raises(ts.DeviceError, match="lost"):

@@ -6,6 +6,8 @@ import base64
 import json
 import math
 import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 
@@ -17,6 +19,8 @@ import tacshade_edge as ts
 from support.calibrated_sensor import HALF, calibrated, pressed, unloaded
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import main
+from tacshade_edge.sensor.contact.tracking import ContactTracker
+from tacshade_edge.types import Frame, TouchedObject
 
 
 @pytest.fixture(scope="module")
@@ -120,13 +124,20 @@ def test_what_cannot_be_used_says_so(sensor: ts.Sensor, tmp_path: Path) -> None:
 
 
 def test_a_sensor_that_another_thread_is_using_refuses(sensor: ts.Sensor) -> None:
-    with (
-        sensor._in_use,
-        pytest.raises(
-            ts.ConfigError, match="found two threads using one sensor, expected one thread"
-        ),
-    ):
-        sensor.reconstruct(unloaded())
+    class Meanwhile(ContactTracker):
+        """Lets another thread use the sensor while a frame's objects are followed."""
+
+        def step(self, t_ns: int, objects: Sequence[TouchedObject]) -> tuple[TouchedObject, ...]:
+            with ThreadPoolExecutor(1) as other:
+                refused.append(other.submit(sensor.reconstruct, unloaded()).exception())
+            return super().step(t_ns, objects)
+
+    refused: list[BaseException | None] = []
+    made = sensor.step(Frame(0, 0, 0, pressed("ball", 2.0).image), Meanwhile())
+    assert made.valid
+    (error,) = refused
+    assert isinstance(error, ts.ConfigError)
+    assert "found two threads using one sensor, expected one thread" in str(error)
     assert sensor.reconstruct(unloaded()).valid
 
 

@@ -301,7 +301,7 @@ def test_a_bag_of_ros_2(tmp_path: Path) -> None:
 def test_without_rosbags_an_image_of_ros_2_says_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ros_image._types.cache_clear()
+    ros_image.typestore.cache_clear()
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(ConfigError, match=r"found no package rosbags.*to install it: pip install"):
         stored_frames.image_of("sensor_msgs/msg/Image", "cdr", b"")

@@ -242,7 +242,7 @@ def test_a_jump_is_seen_in_poses_alone(jump_ns: int, code: ReasonCode) -> None:
     for _ in range(600):
         rig.pose()
     assert rig.sync.counts.restarts == 1
-    assert rig.sync._reason_none.code == code
+    assert rig.sync.reason_unknown.code == code
     assert abs(rig.error_ns()) <= ONE_WAY_LATENCY_NS
 
 

@@ -190,7 +190,7 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
 
 
 def test_a_new_verb_is_one_row_and_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(verbs._VERBS, "WINK", verbs._Verb("N", 1, 1))
+    monkeypatch.setitem(verbs.VERBS, "WINK", verbs.SerialVerb("N", 1, 1))
     line = parse_line(b"#7 wink 3")
     assert isinstance(line, Line)
     command = verbs.parse_command(line, 5)

@@ -68,7 +68,7 @@ def ros1_stamp_ns(payload: bytes) -> int:
 
 
 def _decoded(payload: bytes, kind: str, *, is_ros1: bool) -> Any:
-    types = _types(is_ros1=is_ros1)
+    types = typestore(is_ros1=is_ros1)
     from rosbags.serde import SerdeError
 
     try:
@@ -78,7 +78,7 @@ def _decoded(payload: bytes, kind: str, *, is_ros1: bool) -> Any:
 
 
 @cache
-def _types(*, is_ros1: bool) -> Typestore:
+def typestore(*, is_ros1: bool) -> Typestore:
     """ROS's own types, loaded with the first image: they take a third of a second.
 
     Raises ConfigError if the extra is missing.

@@ -227,13 +227,13 @@ def load_networks() -> dict[str, Network]:
 
 
 # Written before the supervisor forks: the forks share the pages of what none of them changes.
-_for_all: dict[str, Network] = {}
+PRELOADED: dict[str, Network] = {}
 
 
 def preload(profile: Profile) -> None:
     """Load a profile's shipped network for this process and its forks, which share the memory."""
-    if profile.network and profile.network not in _for_all:
-        _for_all[profile.network] = load_network(profile.network)
+    if profile.network and profile.network not in PRELOADED:
+        PRELOADED[profile.network] = load_network(profile.network)
 
 
 def make_reconstructor(calibration: Calibration, profile: Profile) -> Reconstructor:
@@ -255,7 +255,7 @@ def _without_names(calibration: Calibration, profile: Profile) -> Reconstructor:
     if not name:
         return Reconstructor(calibration, profile)
     fitted = calibration.fitted.get(profile.name)
-    network = (_for_all.get(name) if fitted is None else None) or load_network(name, fitted)
+    network = (PRELOADED.get(name) if fitted is None else None) or load_network(name, fitted)
     if touch is None or touch.networks == touch_networks(name, fitted):
         return Reconstructor(calibration, profile, network, touch=touch)
     text = (

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import product
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
 
 from support.built_sensor import built_calibration
 from support.calibrated_sensor import (
@@ -27,8 +30,12 @@ from tacshade_edge.sensor.geometry import disc_map
 from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.image.preprocess import (
+    GLARE_GAIN,
     GLARE_LIFT,
+    GLARE_OFFSET,
+    GLARE_PITCHES,
     GLARE_PX,
+    GLARE_REACH,
     LEAST_PITCH_PX,
     MOVED_PARTS,
     GlareFinder,
@@ -116,6 +123,14 @@ def test_faint_glare_lifts_the_darkest_pixels_of_a_place_and_a_touch_does_not() 
     assert preprocessor.lift(pressed("ball", 0.3).image) < 5
 
 
+def brightest(reference: U8, pitch: int) -> U8:
+    """What is no glare at each pixel: the reference's brightest nearby, and some more."""
+    reach = round(GLARE_REACH * pitch)
+    around = np.pad(reference, reach)
+    nearby = sliding_window_view(around, (2 * reach + 1, 2 * reach + 1)).max(axis=(2, 3))
+    return np.asarray(cv2.convertScaleAbs(nearby, alpha=GLARE_GAIN, beta=GLARE_OFFSET), np.uint8)
+
+
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 20), st.integers(0, 2**32 - 1))
 def test_the_glare_search_by_blocks_is_that_by_pixels(
     rows: int, cols: int, pitch: int, seed: int
@@ -124,7 +139,8 @@ def test_the_glare_search_by_blocks_is_that_by_pixels(
     rng = np.random.default_rng(seed)
     reference, grey = (rng.integers(0, 256, (rows, cols), dtype=np.uint8) // 3 for _ in range(2))
     finder = GlareFinder(reference, np.ones_like(grey), float(pitch))
-    side, reach = finder._side, len(finder._box) // 2
+    side = 4 if pitch >= 16 else 2 if pitch >= 8 else 1
+    reach = math.ceil(GLARE_PITCHES * pitch / side) // 2
 
     def darkest(image: U8, i: int, j: int) -> int:
         top, left = max(side * (i - reach), 0), max(side * (j - reach), 0)
@@ -140,7 +156,7 @@ def test_the_glare_search_by_blocks_is_that_by_pixels(
     if lifted:
         assert found is not None
         assert all(found[side * i, side * j] for i, j in lifted)
-    elif np.count_nonzero(grey > finder._brightest) < GLARE_PX:
+    elif np.count_nonzero(grey > brightest(reference, pitch)) < GLARE_PX:
         assert found is None
 
 
