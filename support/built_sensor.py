@@ -1,15 +1,19 @@
-"""Sensors that are built without calibrating: from numbers, and as pictures of sparse domes."""
+"""Sensors that are built without presses: from numbers, and as pictures of sparse domes."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
+from tacshade_edge.calibration.calibrate import calibrate
+from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.sensor.geometry.disc import Window, disc_mask
 from tacshade_edge.sensor.image.white import binarise
 from tacshade_edge.types import F64, U8, Binarisation, Calibration, Disc, Geometry, Polarity
 
 DARK, BRIGHT = 30, 200
+SPARSE = StatedSensor(20.0, 25.0, 50.0, "dark")
+"""What one may state of `sparse_dome`."""
 SPREAD = 1.16
 
 
@@ -122,3 +126,8 @@ def sparse_dome(
     image += cv2.GaussianBlur(pins, (0, 0), 1.2) * contrast_grey * light
     image += np.random.default_rng(seed).normal(0, noise_grey, SIZE)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def from_one_image(image: U8, sensor: StatedSensor = SPARSE) -> Calibration:
+    """Calibrate with one reference, in which anything may be pressed."""
+    return calibrate(sensor, [image], allow_loaded_reference=True).calibration

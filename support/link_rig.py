@@ -7,9 +7,7 @@ import threading
 from collections import Counter, defaultdict
 from typing import Any
 
-import pytest
-
-from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.mqtt_rig import Subscriber
 from support.patience import promised, wait_until
 from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.mqtt.link import MqttLink
@@ -48,12 +46,6 @@ def code(rig: Rig) -> ReasonCode | None:
 
 
 BACK_S = 3.0
-
-
-broker_test = pytest.mark.broker
-
-
-needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
 def offer_for(rig: Rig, seconds: float, fps: int = 60, size: int = 38_000, first: int = 0) -> int:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 
-from support.calibrated_sensor import references, sensor_of, simulated
+from support.calibrated_sensor import random_sensor, references, sensor_of, simulated
 from support.shared import once_for_all_workers
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation, observe_press
 from tacshade_edge.calibration.reference.references import PROFILE
 from tacshade_edge.lab.simulator.script import ball_presses
-from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
 from tacshade_edge.sensor.image.preprocess import GreyMapper, Preprocessor
 from tacshade_edge.types import Geometry
 
@@ -21,18 +20,13 @@ SEEDS = (0, 5, 11)
 
 
 @cache
-def observed_model(seed: int) -> SensorModel:
-    return random_model(seed)
-
-
-@cache
 def observed(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
     """24 ball presses on the sensor of a seed, stated as they are, and its geometry."""
     return once_for_all_workers(f"observed {seed}", lambda: _observe(seed))
 
 
 def _observe(seed: int) -> tuple[tuple[PressObservation, ...], Geometry]:
-    model = observed_model(seed)
+    model = random_sensor(seed)
     unloaded = calibrate(sensor_of(model), references(model)).calibration
     preprocessor = Preprocessor(unloaded, PROFILE)
     mapper = GreyMapper(preprocessor)

@@ -10,7 +10,9 @@ import cv2
 
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration.files.calibration_file import packed
+from tacshade_edge.errors import DecodeError
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
+from tacshade_edge.recording.recording import RecordedFrame, Recording
 from tacshade_edge.types import U8, Frame
 
 HEADER = "image,t_ns,x_mm,y_mm,z_mm,qw,qx,qy,qz\n"
@@ -69,3 +71,15 @@ def record_hand(folder: Path) -> tuple[Path, ...]:
         )
         for name, x in PLACES_X_MM.items()
     )
+
+
+def read_all(recording: Recording) -> tuple[list[RecordedFrame], list[str]]:
+    """All frames of a recording, and why others could not be read."""
+    frames, refused = list[RecordedFrame](), list[str]()
+    while True:
+        try:
+            if (frame := recording.read()) is None:
+                return frames, refused
+            frames.append(frame)
+        except DecodeError as error:
+            refused.append(str(error))

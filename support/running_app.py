@@ -9,9 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience, wait_until
 from tacshade_edge.daemon.app import App
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -21,10 +19,6 @@ from tacshade_edge.settings import Document, load
 from tacshade_edge.types import U8, Calibration
 
 BASE = "tacshade/hand-1"
-NEEDS_BROKER = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
 NO_REASON = {"reason": "", "reason_code": ""}
 GONE = DeviceError("camera /dev/video9: gone")
 STOP_S = 2.0

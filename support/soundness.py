@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 
+from tacshade_edge.sensor.inference.network import make_reconstructor
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
-from tacshade_edge.types import U8, Frame, Reconstruction
+from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 from tacshade_edge.wire import binary, messages
 
 
@@ -124,3 +126,12 @@ def assert_nothing(result: Reconstruction, inside: np.ndarray) -> None:
     assert result.cloud.points_mm.shape == (0, 3)
     assert result.cloud.labels.shape == (0,)
     assert (result.objects, result.volume_mm3, result.depth_max_mm) == ((), 0.0, 0.0)
+
+
+def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
+    """With a gate that opens at any change, so that every frame
+    that passes the check reaches the solver.
+    """
+    made = make_reconstructor(calibration, PROFILES[profile])
+    made.gate_part = -1.0
+    return made

@@ -8,12 +8,14 @@ one there judges the change, one at the desk looks for news.
 import logging
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from support import shared
 from support.examples import AT_DESK, at_most
+from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
 from tacshade_edge.cli.shared.logs import OneLineHandler
 
 settings.register_profile(
@@ -33,7 +35,8 @@ LONG_MARKS = {"broker", "browser", "fit", "node", "slow"}
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with those that wait longest, so that no worker has them left
-    when the others are done; give tests the time limit of their mark.
+    when the others are done; give tests the time limit of their mark, and skip those that need a
+    broker where there is none.
     """
     items.sort(key=lambda item: "service" not in item.path.parts)
     for item in items:
@@ -42,6 +45,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(2 * LONG_S))
         elif marks & LONG_MARKS and "timeout" not in marks:
             item.add_marker(pytest.mark.timeout(LONG_S))
+        if "broker" in marks and MOSQUITTO is None:
+            item.add_marker(pytest.mark.skip("mosquitto is not installed"))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -63,3 +68,15 @@ def own_log() -> Iterator[None]:
         if isinstance(handler, OneLineHandler):
             root.removeHandler(handler)
             root.setLevel(level)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    with Broker(tmp_path) as started:
+        yield started
+
+
+@pytest.fixture
+def seen(broker: Broker) -> Iterator[Subscriber]:
+    with Subscriber(broker.port) as subscriber:
+        yield subscriber

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
+from support.mqtt_rig import BridgeProcess, Broker
 from support.patience import patience, wait_until
 from support.published_sensor import CRC, bump, calibration
 from tacshade_edge.types import F64, Pose, Touch
@@ -279,7 +279,6 @@ def test_the_real_sensor_is_shown_among_what_no_daemon_publishes(
 
 
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_it_ends_at_once_with_connections_that_say_nothing(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,

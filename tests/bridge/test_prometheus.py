@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, BridgeProcess, Broker
+from support.mqtt_rig import BridgeProcess, Broker
 from support.patience import patience, wait_until
 from support.published_sensor import PublishedSensor, health
 
@@ -152,7 +152,6 @@ def test_what_no_daemon_reports_is_refused() -> None:
 
 
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_prometheus_reads_it(tmp_path: Path) -> None:
     with (
         Broker(tmp_path) as broker,

@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +14,14 @@ import numpy as np
 import pytest
 import tacshade_client as tc
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.mqtt_rig import Broker, Subscriber, free_port
 from support.patience import patience, wait_until
 from support.published_sensor import CRC, PublishedSensor, bump, unmeasured
 from tacshade_edge.mqtt.listener import WAITING_MAX
 from tacshade_edge.wire import binary, messages
 
-needs_a_broker = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
-pytestmark = needs_a_broker
+pytestmark = pytest.mark.broker
 HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    with Broker(tmp_path) as started:
-        yield started
 
 
 def contact(seq: int) -> bytes:

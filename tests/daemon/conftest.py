@@ -99,18 +99,6 @@ def scripted() -> type[ScriptedSource]:
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    with Broker(tmp_path) as started:
-        yield started
-
-
-@pytest.fixture
-def seen(broker: Broker) -> Iterator[Subscriber]:
-    with Subscriber(broker.port) as subscriber:
-        yield subscriber
-
-
-@pytest.fixture
 def live(
     tmp_path: Path,
     broker: Broker,

@@ -24,7 +24,6 @@ from support.robot import PtyRobot
 from support.running_app import (
     BASE,
     GONE,
-    NEEDS_BROKER,
     NO_REASON,
     STOP_S,
     Live,
@@ -42,7 +41,7 @@ from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration, RestLimits
 from tacshade_edge.wire import binary
 
-pytestmark = NEEDS_BROKER
+pytestmark = pytest.mark.broker
 
 
 def test_from_frames_to_a_subscriber_with_every_frame_accounted_for(

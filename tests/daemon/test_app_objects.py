@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from support.running_app import NEEDS_BROKER, Live, paced
+from support.running_app import Live, paced
 from tacshade_edge.calibration.files import objects_file
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import LADDER, PROFILES
 from tacshade_edge.sensor.recognition.naming import describe_touch
 from tacshade_edge.types import Calibration, Frame
 
-pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
 
 
 def test_an_object_taught_while_the_daemon_runs_is_named(

@@ -7,14 +7,16 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
+import pytest
+
 from support.patience import wait_until
-from support.running_app import GONE, NEEDS_BROKER, NO_REASON, Live, paced
+from support.running_app import GONE, NO_REASON, Live, paced
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.recording.frame_table import read_table
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.settings import load
 
-pytestmark = NEEDS_BROKER
+pytestmark = pytest.mark.broker
 
 
 def test_a_recording_goes_on_while_the_camera_is_lost_and_ends_with_its_reference(

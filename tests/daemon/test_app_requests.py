@@ -17,14 +17,14 @@ import pytest
 
 from support.calibrated_sensor import HALF, calibrated, pressed, simulated
 from support.patience import wait_until
-from support.running_app import BASE, NEEDS_BROKER, Live, assert_accounted, paced, switched
+from support.running_app import BASE, Live, assert_accounted, paced, switched
 from tacshade_edge.calibration.files import calibration_file, reference_file
 from tacshade_edge.daemon import active_profile
 from tacshade_edge.sensor.contact import untouched
 from tacshade_edge.sensor.profiles import LADDER, PROFILES
 from tacshade_edge.wire import binary
 
-pytestmark = NEEDS_BROKER
+pytestmark = pytest.mark.broker
 
 
 def test_requests(live: Live, pictures: Any, scripted: Any) -> None:

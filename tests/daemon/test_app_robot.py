@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -16,7 +15,7 @@ import pytest
 from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
 from support.patience import wait_until
 from support.robot import PtyRobot, motion
-from support.running_app import NEEDS_BROKER, Live, paced
+from support.running_app import Live, paced
 from tacshade_edge.cli import main
 from tacshade_edge.lab.simulator.pad import Bar, Pad, scan
 from tacshade_edge.lab.simulator.press import Press
@@ -26,18 +25,10 @@ from tacshade_edge.stitching.stitch_file import StitchFile
 from tacshade_edge.types import U8
 from tacshade_edge.wire import binary
 
-pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
 PAD = Pad(12.0, 4.0, (Bar(2.0, 2.0, 10.0, 2.0, 3.0),))
 HOME: PoseValues = (0.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0)
 DEADLINE_S = 60.0
-
-
-@pytest.fixture
-def link() -> Iterator[Path]:
-    """A place under /dev, as the settings want, that needs no root."""
-    path = Path(f"/dev/shm/tacshade-app-{os.getpid()}")
-    yield path
-    path.unlink(missing_ok=True)
 
 
 def test_poses_and_commands_from_the_line_to_a_subscriber(

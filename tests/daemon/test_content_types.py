@@ -7,16 +7,18 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import painted_calibration, write_posed_images
 from support.patience import wait_until
-from support.running_app import BASE, NEEDS_BROKER, Live
+from support.running_app import BASE, Live
 from tacshade_edge.camera import sources
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.settings import load
 from tacshade_edge.wire import binary
 
-pytestmark = NEEDS_BROKER
+pytestmark = pytest.mark.broker
 
 STREAMS = {"height", "cloud", "shear", "sigma", "touch", "contact", "preview"}
 RETAINED = {"state", "info", "instance", "health", "status/camera", "status/stitching"}

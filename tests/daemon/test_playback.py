@@ -13,7 +13,7 @@ from queue import SimpleQueue
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.mqtt_rig import Broker, Subscriber, free_port
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from support.patience import patience, wait_until
 from support.recordings import write_recording
@@ -140,8 +140,6 @@ def test_back_shows_the_frame_before_from_anywhere(tmp_path: Path) -> None:
 
 BASE = "tacshade/replay"
 
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-
 
 @pytest.fixture
 def given(tmp_path: Path) -> list[str]:
@@ -151,7 +149,6 @@ def given(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.broker
-@needs_broker
 def test_as_fast_as_possible_loses_nothing(
     tmp_path: Path, given: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,7 +175,6 @@ def test_as_fast_as_possible_loses_nothing(
 
 
 @pytest.mark.broker
-@needs_broker
 def test_an_endless_loop_ends_cleanly_with_ctrl_c(tmp_path: Path, given: list[str]) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port) as seen:
         more = [

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from support.patience import wait_until
-from support.running_app import NEEDS_BROKER, Live, paced
+from support.running_app import Live, paced
 from tacshade_edge.reasons import Reason, ReasonCode
 
-pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import touched_depth_mm
 from support.patience import wait_until
 from support.published_sensor import bump, unmeasured
@@ -395,7 +395,6 @@ def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_nee
     )
 
 
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 USERS = ("hand", "other", "homeassistant")
 
 TOPICS = discovery_topics("hand")
@@ -453,7 +452,6 @@ def assistant(guarded: Broker) -> Iterator[Subscriber]:
 
 
 @pytest.mark.broker
-@needs_broker
 def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) -> None:
     with announcing(guarded.port, wanted=True) as (link, announcer):
         wait_until(lambda: announced_state(assistant) == "announced", 10, "the announcement")

@@ -23,7 +23,6 @@ from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.patience import patience, wait_until
 from support.robot import PtyRobot
-from support.running_app import NEEDS_BROKER
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG
 from tacshade_edge.daemon.supervisor import STEADY_S, restart_wait_s
@@ -34,7 +33,7 @@ from tacshade_edge.wire import binary
 from tacshade_edge.wire.hand_topics import HandObjects
 from tacshade_edge.wire.topics import decode_hand
 
-pytestmark = [*NEEDS_BROKER, pytest.mark.slow]
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
 HAND = "tacshade/hand/left"
 
 

@@ -54,12 +54,6 @@ def page(chromium: Chrome) -> Iterator[Chrome]:
 
 
 @pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    with Broker(tmp_path) as running:
-        yield running
-
-
-@pytest.fixture
 def address(broker: Broker) -> Iterator[str]:
     """The page's, of a dashboard of this broker."""
     with dashboard(f"127.0.0.1:{broker.port}") as address:

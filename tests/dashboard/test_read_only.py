@@ -12,6 +12,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from support.hostile_broker import packet
 from support.patience import patience
 from tacshade_edge.dashboard.relay import PACKET_BYTES_MAX, ReadOnly
 from tacshade_edge.errors import DecodeError
@@ -19,16 +20,7 @@ from tacshade_edge.errors import DecodeError
 V311, V5 = MQTTProtocolVersion.MQTTv311, MQTTProtocolVersion.MQTTv5
 
 
-def packet(kind: int, body: bytes) -> bytes:
-    length, size = len(body), b""
-    while True:
-        length, digit = divmod(length, 128)
-        size += bytes([digit | (0x80 if length else 0)])
-        if not length:
-            return bytes([kind << 4]) + size + body
-
-
-PING, SUBSCRIBE = packet(12, b""), packet(8, b"\0\1\0\x08tacshade\0")
+PING, SUBSCRIBE = packet(0xC0, b""), packet(0x80, b"\0\1\0\x08tacshade\0")
 
 
 def connect(
@@ -40,7 +32,7 @@ def connect(
 ) -> bytes:
     body = len(name).to_bytes(2, "big") + name + bytes([version, flags, 0, 15])
     body += bytes([len(properties)]) + properties if version == 5 else b""
-    return packet(1, body + len(client_id).to_bytes(2, "big") + client_id)
+    return packet(0x10, body + len(client_id).to_bytes(2, "big") + client_id)
 
 
 def sent_by_paho(
@@ -69,8 +61,8 @@ def sent_by_paho(
 @pytest.mark.parametrize("version", [V311, V5])
 def test_who_only_looks_passes(version: MQTTProtocolVersion) -> None:
     hello = sent_by_paho(version, lambda client: client.username_pw_set("eve", "right"))
-    acknowledged = packet(4, b"\0\1")
-    sent = hello + SUBSCRIBE + acknowledged + PING + packet(10, b"\0\2\0\1a") + packet(14, b"")
+    acknowledged = packet(0x40, b"\0\1")
+    sent = hello + SUBSCRIBE + acknowledged + PING + packet(0xA0, b"\0\2\0\1a") + packet(0xE0, b"")
     assert ReadOnly().passed(sent) == sent
 
 
@@ -99,14 +91,14 @@ def test_a_last_will_is_a_message_too_and_nothing_is_kept_for_a_page_that_is_gon
         connect(properties=b"\x26\0\1a\0\1b"),
         connect()[:-9],
         connect(properties=b"\x21\0")[:20],
-        packet(1, b""),
-        packet(1, b"\0\4MQTT\5"),
-        packet(1, b"\0\4MQTT\5\2\0\x0f\xff\xff\xff\x7f"),
+        packet(0x10, b""),
+        packet(0x10, b"\0\4MQTT\5"),
+        packet(0x10, b"\0\4MQTT\5\2\0\x0f\xff\xff\xff\x7f"),
     ],
 )
 def test_other_ways_to_say_hello_are_refused(hello: bytes) -> None:
     with pytest.raises(DecodeError):
-        ReadOnly().passed(packet(1, hello[2:]))
+        ReadOnly().passed(packet(0x10, hello[2:]))
 
 
 def test_what_is_not_looking_is_refused() -> None:
@@ -117,7 +109,7 @@ def test_what_is_not_looking_is_refused() -> None:
 
 
 def test_what_is_too_large_is_refused_before_it_is_there() -> None:
-    size = packet(8, bytes(PACKET_BYTES_MAX + 1))
+    size = packet(0x80, bytes(PACKET_BYTES_MAX + 1))
     with pytest.raises(DecodeError, match="more than 65536 bytes"):
         ReadOnly().passed(size[:8])
     with pytest.raises(DecodeError, match="no MQTT"):
@@ -126,7 +118,7 @@ def test_what_is_too_large_is_refused_before_it_is_there() -> None:
 
 @given(st.data())
 def test_however_it_is_cut_only_whole_packets_pass(data: st.DataObject) -> None:
-    sent = connect() + SUBSCRIBE + packet(8, bytes(200)) + PING
+    sent = connect() + SUBSCRIBE + packet(0x80, bytes(200)) + PING
     cuts = sorted(data.draw(st.lists(st.integers(0, len(sent)), max_size=20)))
     only = ReadOnly()
     parts = [
@@ -139,7 +131,7 @@ def test_however_it_is_cut_only_whole_packets_pass(data: st.DataObject) -> None:
     for part in parts:
         passed += len(part)
         assert not part or passed in ends
-    publish = packet(3, b"\0\1a")
+    publish = packet(0x30, b"\0\1a")
     cut = data.draw(st.integers(0, len(publish)))
     assert only.passed(publish[:cut] if cut < len(publish) else b"") == b""
     with pytest.raises(DecodeError):

@@ -11,12 +11,10 @@ from paho.mqtt.enums import CallbackAPIVersion
 from websockets.exceptions import ConnectionClosed
 
 from support.dashboard_process import dashboard
-from support.mqtt_rig import MOSQUITTO, Broker
+from support.mqtt_rig import Broker
 from support.page_server import client_through, echo, get, running, tcp, websocket
 from support.patience import wait_until
 from tacshade_edge.dashboard import relay
-
-NEEDS_MOSQUITTO = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
 
 @pytest.mark.parametrize(("message", "code"), [("text", 1003), (b"x" * (1 << 17), 1009)])
@@ -87,7 +85,6 @@ async def test_a_page_that_reads_nothing_is_closed_at_the_broker_too(
 
 
 @pytest.mark.broker
-@NEEDS_MOSQUITTO
 def test_height_maps_of_full_size_come_through_mosquitto_over_tls(tmp_path: Path) -> None:
     payload = bytes(range(256)) * 2400  # 614 KB, as 640x480 cells
     received: list[bytes] = []

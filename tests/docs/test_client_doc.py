@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import tacshade_client
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience, wait_until
 from support.published_sensor import CRC, bump, calibration
 from tacshade_edge.wire import binary, messages
@@ -23,10 +23,7 @@ ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/client.md").read_text()
 LISTEN = (ROOT / "docs/how-to/listen.md").read_text()
 HEIGHT = binary.encode_height(bump(7, 2.0, 236.0, 328.0, step_px=8), calibration_crc32=CRC)
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = pytest.mark.broker
 
 
 def code_of(text: str) -> str:

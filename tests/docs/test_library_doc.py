@@ -17,7 +17,7 @@ import pytest
 
 import tacshade_edge as ts
 from support.calibrated_sensor import FULL, calibrated, pressed, unloaded
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience
 from support.recordings import record_hand
 from tacshade_edge.calibration.files import calibration_file
@@ -168,7 +168,6 @@ def first_line_of_the_readme(address: str) -> tuple[Any, ...]:
 
 
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_a_running_sensor(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Broker(tmp_path) as broker:
         settings = made / "run.yaml"

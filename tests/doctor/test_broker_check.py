@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from support.hostile_broker import HostileBroker
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.mqtt_rig import Broker, Subscriber, free_port
 from support.patience import wait_until
 from tacshade_edge.doctor import Finding, ok
 from tacshade_edge.doctor.broker_check import (
@@ -23,12 +23,6 @@ from tacshade_edge.doctor.broker_check import (
 from tacshade_edge.doctor.machine import Process
 
 BASE = "tacshade/left"
-broker_test = pytest.mark.broker
-
-
-def on_mosquitto(test: Any) -> Any:
-    missing = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-    return broker_test(missing(test))
 
 
 def ask(port: int, **options: Any) -> tuple[dict[str, Finding], DaemonState]:
@@ -73,7 +67,7 @@ def test_nothing_listens() -> None:
     )
 
 
-@broker_test  # for its seconds of waiting
+@pytest.mark.slow
 def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     finding = trouble(listener.getsockname()[1])
     assert finding.found.endswith(
@@ -81,7 +75,7 @@ def test_a_port_that_says_nothing(listener: socket.socket) -> None:
     )
 
 
-@on_mosquitto
+@pytest.mark.broker
 def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as seen:
         findings, daemon = ask(broker.port)
@@ -98,7 +92,7 @@ def test_a_good_broker_and_nobody_on_it(tmp_path: Path) -> None:
     }
 
 
-@on_mosquitto
+@pytest.mark.broker
 def test_a_daemon_on_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, Subscriber(broker.port, f"{BASE}/#") as other:
         for name, payload in (
@@ -126,7 +120,7 @@ def test_a_daemon_on_it(tmp_path: Path) -> None:
 SHIPPED = (Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text()
 
 
-@on_mosquitto
+@pytest.mark.broker
 @pytest.mark.parametrize(
     ("rules", "username", "state", "fix"),
     [
@@ -151,7 +145,7 @@ def test_access_rules(
     assert fix in trip.fix
 
 
-@on_mosquitto
+@pytest.mark.broker
 def test_users(tmp_path: Path) -> None:
     with Broker(tmp_path, users={"hand": "right"}) as broker:
         wrong = trouble(broker.port, username="hand", password="wrong")
@@ -159,7 +153,7 @@ def test_users(tmp_path: Path) -> None:
         assert "mqtt.username" in trouble(broker.port).fix
 
 
-@on_mosquitto
+@pytest.mark.broker
 @pytest.mark.parametrize(
     ("option", "found"),
     [
@@ -180,7 +174,7 @@ def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
         assert ask(broker.port)[0]["broker round trip"].state == "warning"
 
 
-@on_mosquitto
+@pytest.mark.broker
 def test_tls(tmp_path: Path) -> None:
     for name in ("ours", "theirs"):
         (tmp_path / name).mkdir()

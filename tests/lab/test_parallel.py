@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.patience import patience, wait_until
+from support.processes import alive
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.lab.parallel import processes, usable_cores, workers
 
@@ -53,15 +54,6 @@ def test_a_killed_process_is_one_line() -> None:
         processes() as pool,
     ):
         list(pool.map(die, [0, 1]))
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that has ended and waits for its parent's question does not."""
-    try:
-        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 SCRIPT = """

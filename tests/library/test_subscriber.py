@@ -10,15 +10,12 @@ from pathlib import Path
 import pytest
 
 import tacshade_edge as ts
-from support.mqtt_rig import MOSQUITTO, Broker, free_port
+from support.mqtt_rig import Broker, free_port
 from support.published_sensor import PublishedSensor, bump
 from tacshade_edge.library import subscriber
 from tacshade_edge.reasons import Reason, ReasonCode
 
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = pytest.mark.broker
 
 
 def test_an_absent_broker_is_reported() -> None:

@@ -8,16 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.mqtt.caller import MqttCaller
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.reasons import ReasonCode
 
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = pytest.mark.broker
 BASE = "tacshade/left"
 
 

@@ -10,25 +10,15 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
 from support.link_rig import BASE, Rig, code
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import wait_until
 from tacshade_edge.reasons import ReasonCode
 
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    with Broker(tmp_path) as running:
-        yield running
+pytestmark = pytest.mark.broker
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from paho.mqtt.client import MQTTMessage
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto, numbers, offer_for
+from support.link_rig import BASE, Rig, code, numbers, offer_for
 from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience, wait_until
 from tacshade_edge.errors import ConfigError
@@ -50,8 +50,7 @@ def unheard(rig: Rig, topic: str) -> None:
     wait_until(nobody, 3, f"nobody listens to {topic}")
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 class TestUp:
     def test_published_bytes_arrive_as_they_were_and_decode(
         self, rig: Rig, subscriber: Subscriber
@@ -152,8 +151,7 @@ class TestUp:
         assert "pay1oad" not in caplog.text
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 class TestRefused:
     def test_wrong_password_is_a_state_with_a_reason(self, tmp_path: Path) -> None:
         with Broker(tmp_path, users={"sensor": "right"}) as broker:
@@ -295,8 +293,7 @@ def test_host_that_cannot_be_one_is_a_configuration_error(host: str) -> None:
         )
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 class TestRequests:
     def test_request_and_reply_for_any_client(self, rig: Rig, subscriber: Subscriber) -> None:
         subscriber.publish(f"{BASE}/req/profile", b'{"profile": "fast", "transaction": "t1"}')

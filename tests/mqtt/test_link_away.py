@@ -12,10 +12,8 @@ from support.link_rig import (
     BACK_S,
     BASE,
     Rig,
-    broker_test,
     code,
     come_back,
-    needs_mosquitto,
     numbers,
     offer_for,
 )
@@ -24,8 +22,7 @@ from support.patience import promised, stretched, wait_until
 from tacshade_edge.reasons import ReasonCode
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 class TestAway:
     def test_absent_at_start_then_there_then_restarted(self, tmp_path: Path) -> None:
         broker = Broker(tmp_path)
@@ -90,8 +87,7 @@ class TestAway:
         )
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 class TestStalled:
     @pytest.mark.slow
     def test_a_broker_that_takes_nothing_for_longer_than_two_keepalives(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from support.hostile_broker import HostileBroker
-from support.link_rig import BASE, Rig, broker_test, code, needs_mosquitto
+from support.link_rig import BASE, Rig, code
 from support.mqtt_rig import Broker, Subscriber
 from support.patience import wait_until
 from tacshade_edge.mqtt.packets import packet_bytes, publish_properties
@@ -18,8 +18,7 @@ from tacshade_edge.wire.requests import Request
 SMALL_ENOUGH = 8000
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 @pytest.mark.parametrize("option", ["message_size_limit 10000", "max_packet_size 10000"])
 def test_large_messages_are_refused_and_the_connection_stays(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, option: str
@@ -54,8 +53,7 @@ def test_large_messages_are_refused_and_the_connection_stays(
     assert "raise message_size_limit and max_packet_size" in reported[0]
 
 
-@broker_test
-@needs_mosquitto
+@pytest.mark.broker
 def test_the_largest_packet_is_distinguished_from_the_first_that_is_too_large(
     tmp_path: Path,
 ) -> None:

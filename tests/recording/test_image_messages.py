@@ -12,6 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.recordings import read_all
+
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 pytest.importorskip("rosbags")
@@ -69,17 +71,6 @@ def bag(
     return path
 
 
-def read(recording: Recording) -> tuple[list[RecordedFrame], list[str]]:
-    frames, refused = list[RecordedFrame](), list[str]()
-    while True:
-        try:
-            if (frame := recording.read()) is None:
-                return frames, refused
-            frames.append(frame)
-        except DecodeError as error:
-            refused.append(str(error))
-
-
 def levels(frames: list[RecordedFrame]) -> list[int]:
     return [int(recorded.frame.image[0, 0]) for recorded in frames]
 
@@ -99,7 +90,7 @@ def test_frames_come_by_their_own_times_whatever_the_recorder_logged(
 ) -> None:
     stamps = [T_NS + k * PERIOD_NS for k in taken]
     logged = data.draw(st.sampled_from([stamps, [T_NS] * len(taken), list(range(len(taken)))]))
-    frames, refused = read(Recording(bag(path, kind, stamps, logged)))
+    frames, refused = read_all(Recording(bag(path, kind, stamps, logged)))
     assert refused == []
     assert [recorded.frame.t_ns for recorded in frames] == sorted(stamps)
     assert [recorded.wall_ns for recorded in frames] == sorted(stamps)
@@ -109,9 +100,9 @@ def test_frames_come_by_their_own_times_whatever_the_recorder_logged(
 
 @pytest.mark.parametrize("kind", COMPRESSED)
 def test_without_a_stamp_the_log_time_counts(path: Path, kind: tuple[str, str]) -> None:
-    frames, _ = read(Recording(bag(path, kind, [0, 0, 0], [7, 5, 9])))
+    frames, _ = read_all(Recording(bag(path, kind, [0, 0, 0], [7, 5, 9])))
     assert [recorded.frame.t_ns for recorded in frames] == [5, 7, 9]
-    frames, refused = read(Recording(bag(path, kind, [5, 0, 9], [7, 5, 9])))
+    frames, refused = read_all(Recording(bag(path, kind, [5, 0, 9], [7, 5, 9])))
     assert len(frames) == 2
     assert refused == [
         f"{path}: message 1 of /cam: found no time in its header, expected one as in the first "
@@ -121,7 +112,7 @@ def test_without_a_stamp_the_log_time_counts(path: Path, kind: tuple[str, str]) 
 
 def test_what_is_far_out_of_order_is_named(path: Path) -> None:
     stamps = [T_NS + k for k in range(1, 101)] + [T_NS]
-    frames, refused = read(Recording(bag(path, COMPRESSED[0], stamps, stamps)))
+    frames, refused = read_all(Recording(bag(path, COMPRESSED[0], stamps, stamps)))
     assert len(frames) == 100
     assert "message 100 of /cam: found the time" in refused[0]
 
@@ -132,7 +123,7 @@ def test_one_of_several_topics_is_chosen(path: Path) -> None:
     with pytest.raises(ConfigError, match=r"found 2 image topics .* chosen with --topic"):
         Recording(path)
     for first, topic in enumerate(topics):
-        assert levels(read(Recording(path, topic=topic))[0]) == list(range(first, 6, 2))
+        assert levels(read_all(Recording(path, topic=topic))[0]) == list(range(first, 6, 2))
     with pytest.raises(
         ConfigError, match=r"--topic: found /x, expected one of /tactile/image, /wrist/image"
     ):

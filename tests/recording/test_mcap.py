@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from support.recordings import read_all
+
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove_schemas_protobuf")
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -19,11 +21,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from support.mcap_bytes import CHUNK, DATA_END, described, file_of, flipped, message, record_starts
-from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.recording.mcap import ros_image, stored_frames
 from tacshade_edge.recording.mcap.writer import McapWriter, camera_message
 from tacshade_edge.recording.recorder import png_of
-from tacshade_edge.recording.recording import RecordedFrame, Recording
+from tacshade_edge.recording.recording import Recording
 from tacshade_edge.recording.recording_content import content_of, events_in
 from tacshade_edge.types import U8, Frame, Pose
 
@@ -53,21 +55,8 @@ def ours(frames: int) -> bytes:
     return stream.getvalue()
 
 
-def every(path: Path) -> tuple[list[RecordedFrame], list[str]]:
-    recording, frames, refused = Recording(path), [], []
-    while True:
-        try:
-            recorded = recording.read()
-        except DecodeError as error:
-            refused.append(str(error))
-            continue
-        if recorded is None:
-            return frames, refused
-        frames.append(recorded)
-
-
 def seqs(path: Path) -> list[int]:
-    frames, refused = every(path)
+    frames, refused = read_all(Recording(path))
     assert refused == []
     for recorded in frames:
         was = frame(int(recorded.name[:6]))
@@ -84,7 +73,7 @@ def test_a_recording_that_an_earlier_daemon_made_in_mcap(tmp_path: Path) -> None
     """Its process ended in the second of its files."""
     folder = tmp_path / "rec"
     shutil.copytree(EARLIER, folder)
-    frames, refused = every(folder)
+    frames, refused = read_all(Recording(folder))
     assert refused == []
     assert [recorded.name for recorded in frames] == [f"{seq:06d}.png" for seq in range(6)]
     for seq, recorded in enumerate(frames):
@@ -145,14 +134,16 @@ def test_a_loop_goes_on_in_time_and_a_file_states_its_length_unless_it_was_cut_o
 @pytest.mark.slow
 def test_one_flipped_bit_costs_a_chunk_at_most_and_is_reported(tmp_path: Path) -> None:
     whole = ours(4)
-    good = {recorded.name: recorded for recorded in every(_written(tmp_path, whole))[0]}
+    good = {
+        recorded.name: recorded for recorded in read_all(Recording(_written(tmp_path, whole)))[0]
+    }
     assert len(good) == 4
     heads = [begin + byte for begin in record_starts(whole) for byte in range(9)]
     draw = random.Random(5)
     # All of a record's head, for every kind; some of the rest.
     for at in (*draw.sample(heads, 60), *(draw.randrange(len(whole)) for _ in range(40))):
         path = _written(tmp_path, flipped(whole, at, draw.randrange(8)))
-        frames, refused = every(path)
+        frames, refused = read_all(Recording(path))
         for recorded in frames:
             was, found = good[recorded.name].frame, recorded.frame
             assert (found.t_ns, found.pose) == (was.t_ns, was.pose)
@@ -167,14 +158,14 @@ def test_without_an_index_damage_costs_its_chunk_or_what_follows_its_head(tmp_pa
     path = tmp_path / "rec.mcap.part"
     torn = whole[: chunks[-1] + 100]
     path.write_bytes(flipped(torn, chunks[2] + 1000, 3))
-    frames, refused = every(path)
+    frames, refused = read_all(Recording(path))
     # The last chunk is torn, as in a recording that still goes on.
     assert len(frames) == len(chunks) - 2
     assert len(refused) == 1
     assert "skipping the damaged chunk" in refused[0]
     for byte in (1, 4, 8):
         path.write_bytes(flipped(torn, chunks[2] + byte, 7))
-        frames, refused = every(path)
+        frames, refused = read_all(Recording(path))
         assert [recorded.name for recorded in frames] == ["000000.png", "000001.png"]
         assert Recording(path).cut_off
 
@@ -203,7 +194,7 @@ def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(
         writer.write("frame", text.encode(), 90 + seq, seq)
         writer.write("camera", camera_message(png_of(picture(seq)), "left", 0), 0, seq)
     writer.finish()
-    frames, refused = every(_written(tmp_path, stream.getvalue()))
+    frames, refused = read_all(Recording(_written(tmp_path, stream.getvalue())))
     assert [recorded.frame.t_ns for recorded in frames] == [90, 92]
     assert len(refused) == 1
     assert "message 1 of /tacshade/left/camera: " in refused[0]
@@ -215,8 +206,9 @@ def test_a_file_of_several_that_is_none_is_reported_and_the_others_are_read(tmp_
     (tmp_path / "001.mcap.part").write_bytes(b"")
     recording = Recording(tmp_path)
     assert "001.mcap.part: not an MCAP file; leaving its frames out" in recording.damage
-    assert len(every(tmp_path)[0]) == 3
-    assert len(every(tmp_path / "000.mcap.part")[0]) == 3  # its writer has ended it meanwhile
+    assert len(read_all(Recording(tmp_path))[0]) == 3
+    # Its writer has ended it meanwhile.
+    assert len(read_all(Recording(tmp_path / "000.mcap.part"))[0]) == 3
 
 
 def _written(folder: Path, content: bytes) -> Path:
@@ -249,7 +241,7 @@ def test_images_of_others(tmp_path: Path, schema: str, compression: CompressionT
         for t_ns in (5, 9, 7):
             writer.add_message(channel, t_ns, OTHERS[schema].SerializeToString(), t_ns)
         writer.finish()
-    frames, refused = every(path)
+    frames, refused = read_all(Recording(path))
     assert [(recorded.frame.t_ns, recorded.wall_ns) for recorded in frames] == [
         (5, 5),
         (7, 7),
@@ -293,7 +285,7 @@ def test_a_bag_of_ros_2(tmp_path: Path) -> None:
         schema = writer.register_msgdef("sensor_msgs/msg/Image", text)
         writer.write_message("/cam", schema, {**image, "data": RGB[:, :, 0].tobytes()}, log_time=11)
         writer.finish()
-    frames, refused = every(path)
+    frames, refused = read_all(Recording(path))
     assert refused == []
     np.testing.assert_array_equal(frames[0].frame.image, RGB[:, :, 0])
 
@@ -337,7 +329,7 @@ def test_what_has_no_one_topic_of_images_is_refused(tmp_path: Path) -> None:
 def test_what_is_reported_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stored_frames, "_UNUSABLE_MAX", 10)
     inside = described() + message(b"no image", 5) + message(b"", 6) * 100
-    read, refused = every(_written(tmp_path, file_of(inside)))
+    read, refused = read_all(Recording(_written(tmp_path, file_of(inside))))
     assert read == []
     assert len(refused) == 12
     assert refused[-1] == "/cam: found 11 unusable messages; skipping all later messages"
@@ -371,7 +363,7 @@ def test_an_image_that_is_none_is_reported(tmp_path: Path, message: RawImage, fo
         writer.add_message(channel, 1, message.SerializeToString(), 1)
         writer.add_message(channel, 2, b"\xff\xff\xff", 2)
         writer.finish()
-    frames, refused = every(path)
+    frames, refused = read_all(Recording(path))
     assert frames == []
     assert found in refused[0]
     assert len(refused) == 2

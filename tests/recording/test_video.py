@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.recordings import read_all
 from tacshade_edge.camera.file_source import FilesSource
-from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.recording.recording import RecordedFrame, Recording
+from tacshade_edge.errors import ConfigError
+from tacshade_edge.recording.recording import Recording
 
 CONTAINERS = {"avi": "MJPG", "mp4": "mp4v", "mov": "mp4v", "mkv": "MJPG", "webm": "VP80"}
 # Matroska states milliseconds.
@@ -32,17 +33,6 @@ def written(folder: Path, container: str, fps: float, frames: int) -> Path:
     return path
 
 
-def read(recording: Recording) -> tuple[list[RecordedFrame], list[str]]:
-    frames, refused = list[RecordedFrame](), list[str]()
-    while True:
-        try:
-            if (frame := recording.read()) is None:
-                return frames, refused
-            frames.append(frame)
-        except DecodeError as error:
-            refused.append(str(error))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("videos")
@@ -57,13 +47,13 @@ def test_a_frame_has_the_time_of_its_video(
     folder: Path, container: str, fps: float, count: int
 ) -> None:
     path = written(folder, container, fps, count)
-    frames, refused = read(Recording(path))
+    frames, refused = read_all(Recording(path))
     assert refused == []
     expected_ns = [k * 1e9 / fps for k in range(count)]
     within_ns = ROUNDED_NS.get(container, 10_000)
     assert [f.frame.t_ns for f in frames] == pytest.approx(expected_ns, abs=within_ns)
     # Another rate overrules it.
-    frames, _ = read(Recording(path, fps=10))
+    frames, _ = read_all(Recording(path, fps=10))
     assert [f.frame.t_ns for f in frames] == [k * 100_000_000 for k in range(count)]
 
 
@@ -79,7 +69,7 @@ def test_a_video_that_ends_early_says_so(
         recording = Recording(path)
     except ConfigError:
         return  # not even a first frame
-    frames, refused = read(recording)
+    frames, refused = read_all(recording)
     assert len(frames) <= 12
     if len(frames) < 12:
         assert refused == [

@@ -29,10 +29,7 @@ SENSOR, OTHER, DASHBOARD = "thumb", "foot", "dashboard"
 PAYLOAD = bytes(38_000)
 BURST = 1000  # of PAYLOAD: 38 MB
 
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = pytest.mark.broker
 
 
 @dataclass(frozen=True, slots=True)

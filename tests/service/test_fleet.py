@@ -15,14 +15,10 @@ import pytest
 from paho.mqtt.client import MQTTMessage
 
 from support.fleet import CentralClient, ConfiguredBroker, board, central, people_port
-from support.mqtt_rig import MOSQUITTO, Subscriber
+from support.mqtt_rig import Subscriber
 from support.patience import patience, wait_until
 
-pytestmark = [
-    pytest.mark.broker,
-    pytest.mark.slow,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = [pytest.mark.broker, pytest.mark.slow]
 
 
 @dataclass

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO
 from tacshade_edge.settings import load
 
 FILES = Path(__file__).parents[2] / "systemd"
@@ -129,7 +128,6 @@ RESIDENT_MAX_MB, GROWTH_MAX_MB = 128.0, 1.2
 
 @pytest.mark.slow
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_it_stays_small_and_does_not_grow(tmp_path: Path) -> None:
     figures = tmp_path / "memory.json"
     words = f"-m tools.benchmarks.memory --frames {FRAMES} --fps {FPS} --json {figures}"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
 from support.extremes import EXTREME_IMAGES, Maker, makers
-from support.soundness import everything, sound_step
+from support.soundness import always_asked, everything, sound_step
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
@@ -103,15 +103,8 @@ def test_every_extreme_frame_is_borne(profile: str, polarity: Polarity) -> None:
 
 
 @cache
-def always_asked(profile: str) -> Reconstructor:
-    """With a gate that opens at any change, so that every frame
-    that passes the check reaches the solver.
-    """
-    made = make_reconstructor(
-        calibration(size_for(profile), "bright", "adaptive"), PROFILES[profile]
-    )
-    made.gate_part = -1.0
-    return made
+def asked(profile: str) -> Reconstructor:
+    return always_asked(calibration(size_for(profile), "bright", "adaptive"), profile)
 
 
 @pytest.mark.slow
@@ -125,7 +118,7 @@ def test_any_frame_is_borne(
     image = size.blended(part, maker, where)
     if over is not None:
         image = np.where(size.of(over) > 127, image, size.image())
-    sound_step(always_asked(profile), image)
+    sound_step(asked(profile), image)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from support.built_sensor import built_calibration, marked
 from support.examples import examples
 from support.extremes import EXTREME_IMAGES, noise
-from support.soundness import sound_step
+from support.soundness import always_asked, sound_step
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.errors import ConfigError
@@ -24,8 +24,7 @@ from tacshade_edge.sensor.depth.learned import DEEPEST_RADII
 from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.sensor.reconstruct import Reconstructor
-from tacshade_edge.types import U8, Calibration, Disc, Geometry
+from tacshade_edge.types import U8, Disc, Geometry
 
 ROWS, COLS, PITCH_PX = 96, 128, 8.0
 WHOLE = Disc(48, 64, 40)
@@ -47,13 +46,6 @@ EMPTY = {"between pixels", "outside"}
 SMALL = [(1, 1), (2, 3), (8, 8), (9, 8), (17, 300), (64, 64)]
 # `paper`, with its iterations over every pixel, takes ten seconds for a larger image.
 LARGE_CASES = [(479, 641, profile) for profile in PROFILES] + [(3072, 4096, "fast")]
-
-
-def always_asked(calibration: Calibration, profile: str) -> Reconstructor:
-    """Its gate opens at any change."""
-    made = make_reconstructor(calibration, PROFILES[profile])
-    made.gate_part = -1.0
-    return made
 
 
 def pressed(disc: Disc, pitch_px: float = PITCH_PX) -> U8:

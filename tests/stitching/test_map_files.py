@@ -10,14 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from support.rasters import raster
 from tacshade_edge.stitching.map_files import write_map
-from tacshade_edge.stitching.stitcher import Raster
-
-
-def raster(rows: int = 30, cols: int = 40, height_mm: float = 2.0) -> Raster:
-    z = np.linspace(-1, -1 + height_mm, rows * cols, dtype=np.float32).reshape(rows, cols)
-    z[5:8, 5:8] = np.nan
-    return Raster(z, 10.0, -20.0, 0.25)
 
 
 @pytest.mark.parametrize("height_mm", [2.0, 200.0])

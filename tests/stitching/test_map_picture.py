@@ -2,18 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from support.rasters import raster
 from tacshade_edge.files.drawing import LEFT_PX, TOP_PX
 from tacshade_edge.stitching.map_picture import PREVIEW_PX, preview
 from tacshade_edge.stitching.stitcher import Raster
-
-
-def raster(rows: int, cols: int) -> Raster:
-    """Heights that grow downwards, with a hole at (6, 6);
-    0.25 mm a cell, from x 10 and y -20 mm.
-    """
-    z = np.linspace(-1, 1, rows * cols, dtype=np.float32).reshape(rows, cols)
-    z[5:8, 5:8] = np.nan
-    return Raster(z, 10.0, -20.0, 0.25)
 
 
 def test_a_preview_has_y_upwards_and_holes_in_grey() -> None:

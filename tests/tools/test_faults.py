@@ -6,15 +6,10 @@ from __future__ import annotations
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO
 from tools.faults import kills, table
 from tools.faults.rig import FAULTS
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.broker]
 QUICK = ("a bit flipped in a session's presses", "a recording read while it is written")
 
 

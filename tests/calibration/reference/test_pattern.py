@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support.built_sensor import sparse_dome
+from support.built_sensor import SPARSE, from_one_image, sparse_dome
 from support.calibrated_sensor import (
     FULL,
     HALF,
@@ -22,8 +22,6 @@ from support.calibrated_sensor import (
     simulated,
     unloaded,
 )
-from tacshade_edge.calibration.calibrate import calibrate
-from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.reference.pattern import (
     Pattern,
     find_pattern,
@@ -36,7 +34,7 @@ from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
-from tacshade_edge.types import U8, Calibration, Disc, Frame, Reconstruction
+from tacshade_edge.types import U8, Disc, Frame, Reconstruction
 
 
 def test_the_mean_rounds_and_does_not_wrap() -> None:
@@ -73,13 +71,6 @@ def test_an_empty_picture_has_no_pattern(shape: tuple[int, int]) -> None:
 
 def test_a_disc_outside_of_the_image_shows_nothing() -> None:
     assert view(np.zeros((48, 64), np.uint8), Pattern(Disc(-900.0, 0.0, 10.0), 5.0)).focus == 0.0
-
-
-SENSOR = StatedSensor(20.0, 25.0, 50.0, "dark")
-
-
-def calibrated(image: U8, sensor: StatedSensor = SENSOR) -> Calibration:
-    return calibrate(sensor, [image], allow_loaded_reference=True).calibration
 
 
 def step(made: Reconstructor, image: U8) -> Reconstruction:
@@ -129,7 +120,7 @@ def test_a_reference_is_never_refused_against_itself(name: str, looks: list, pol
         image = look(image).astype(np.float32)
     grey = np.rint(image).astype(np.uint8)
     try:
-        calibration = calibrated(grey, replace(SENSOR, polarity=polarity))
+        calibration = from_one_image(grey, replace(SPARSE, polarity=polarity))
     except ConfigError:
         return
     for profile in PROFILES.values():
@@ -141,7 +132,7 @@ def test_a_reference_is_never_refused_against_itself(name: str, looks: list, pol
 
 @pytest.mark.slow
 def test_a_dome_of_sparse_pins_is_calibrated_and_felt() -> None:
-    made = make_reconstructor(calibrated(sparse_dome()), PROFILES["balanced"])
+    made = make_reconstructor(from_one_image(sparse_dome()), PROFILES["balanced"])
     for seed in range(1, 4):
         free = step(made, sparse_dome(seed))
         assert (free.valid, free.contact) == (True, False)
@@ -154,6 +145,6 @@ def test_a_longer_exposure_is_no_glare() -> None:
     """The camera of the raw TacTip frames lifts the dark by 24 levels in the first
     of each recording.
     """
-    made = make_reconstructor(calibrated(sparse_dome(contrast_grey=170)), PROFILES["balanced"])
+    made = make_reconstructor(from_one_image(sparse_dome(contrast_grey=170)), PROFILES["balanced"])
     lifted = step(made, sparse_dome(1, exposure_grey=24, contrast_grey=170))
     assert (lifted.valid, lifted.contact, lifted.degraded) == (True, False, None)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from support.built_sensor import FIELD, PITCH_PX, SIZE, sparse_dome
+from support.built_sensor import FIELD, PITCH_PX, SIZE, SPARSE, from_one_image, sparse_dome
 from support.calibrated_sensor import (
     FULL,
     HALF,
@@ -20,8 +20,6 @@ from support.calibrated_sensor import (
     random_sensor,
     references,
 )
-from tacshade_edge.calibration.calibrate import calibrate
-from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.reference.pattern import (
     marker_pitch_px,
     mean_image,
@@ -37,7 +35,7 @@ from tacshade_edge.lab.simulator.render import Print, Renderer, print_features, 
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.simulator.skin import chart_to_direction, undeformed
 from tacshade_edge.sensor.image.greyscale import to_grey
-from tacshade_edge.types import F64, U8, Bool, Calibration, Disc
+from tacshade_edge.types import F64, U8, Bool, Disc
 from tools.testbed.simulator.families import sensor_name
 
 MODELS = {"half": HALF, "tactip": TACTIP, "full": FULL} | {
@@ -121,21 +119,15 @@ def test_the_circle_is_where_the_pins_end_not_where_the_lamps_do() -> None:
         assert marker_pitch_px(image, disc) == pytest.approx(PITCH_PX * scale, rel=0.15)
 
 
-SENSOR = StatedSensor(20.0, 25.0, 50.0, "dark")
-
-
-def calibrated(image: U8, sensor: StatedSensor = SENSOR) -> Calibration:
-    return calibrate(sensor, [image], allow_loaded_reference=True).calibration
-
-
 def test_a_stated_circle_overrules_what_is_seen() -> None:
     stated = Disc(250.0, 310.0, 170.0)
-    assert calibrated(sparse_dome(), replace(SENSOR, visible_circle=stated)).geometry.disc == stated
+    found = from_one_image(sparse_dome(), replace(SPARSE, visible_circle=stated))
+    assert found.geometry.disc == stated
     with pytest.raises(
         ConfigError,
         match=r"^visible_circle: found a circle at row 9000, .* overlaps the 640x480 px",
     ):
-        calibrated(sparse_dome(), replace(SENSOR, visible_circle=Disc(9000.0, 310.0, 170.0)))
+        from_one_image(sparse_dome(), replace(SPARSE, visible_circle=Disc(9000.0, 310.0, 170.0)))
 
 
 DARK = replace(TACTIP, surround="dark")

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from support.patience import patience, wait_until
+from support.processes import alive
 
 pytestmark = [
     pytest.mark.slow,
@@ -70,13 +71,6 @@ def children(pid: int) -> list[int]:
         for child in map(int, path.read_text().split()):
             found += [child, *children(child)]
     return found
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def workers(made: subprocess.Popen[str]) -> list[int]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, free_port
+from support.mqtt_rig import Broker, free_port
 from support.painted_sensor import FREE, painted_calibration
 from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
@@ -62,7 +62,6 @@ def test_json_of_bad_settings_is_a_list_and_exit_78(
 
 
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_no_fault_is_exit_0_in_a_process_of_its_own(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
         command = [

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.csv_rows import csv_rows
 from support.half_family import half_family
 from support.painted_sensor import BLACK, HEIGHT, TOUCHED, WIDTH, painted_calibration
 from support.progress_lines import only_progress, without_progress
@@ -32,11 +32,6 @@ SMALL = [
     "--profile",
     "fast",
 ]
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.fixture
@@ -82,7 +77,7 @@ def test_the_files_the_table_and_the_same_bytes_again(
     assert only_progress(printed.err)
     assert "Table I (real sensor)" in printed.out
     assert sorted(p.name for p in first.iterdir()) == WRITTEN
-    rows = table(first / "evaluation.csv")
+    rows = csv_rows(first / "evaluation.csv")
     assert list(rows[0]) == [field.name for field in fields(Row)]
     assert [row["object"] for row in rows] == ["ball"] * 9 + ["none"] * 20
     summary = json.loads((first / "evaluation.json").read_text())
@@ -98,7 +93,7 @@ def test_own_images(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr()
     assert only_progress(printed.err)
     assert "coin" in printed.out
-    (row,) = table(own / "out" / "evaluation.csv")
+    (row,) = csv_rows(own / "out" / "evaluation.csv")
     assert (row["sensor"], row["image"], row["object"], row["contact"]) == (
         "cal.npz",
         "coin.png",

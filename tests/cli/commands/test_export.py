@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import csv
-import io
 import json
 import sys
 from pathlib import Path
@@ -11,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.csv_rows import csv_rows
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from support.recordings import record_hand
 from tacshade_edge.calibration.files.calibration_file import packed
@@ -44,10 +43,6 @@ def export(recording: Path, to: str, *more: str) -> int:
     return main(["export", str(recording), "--to", to, *more])
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(path.read_text())))
-
-
 @pytest.mark.slow
 def test_a_touch_of_unknown_depth_has_an_empty_cell(
     faint: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
@@ -56,7 +51,7 @@ def test_a_touch_of_unknown_depth_has_an_empty_cell(
     more = ("--calibration", str(calibration), "--profile", "fast")
     assert export(pictures, "csv", *more) == 0
     assert "2 frames, 0 in contact, 1 touched (depth unknown), 0 invalid" in capsys.readouterr().out
-    rows = table(pictures.with_name("pictures.csv"))
+    rows = csv_rows(pictures.with_name("pictures.csv"))
     found = [(row["contact"], row["touched"], row["depth_max_mm"]) for row in rows]
     assert found == [("0", "0", "0.0"), ("0", "1", "")]
 
@@ -67,7 +62,7 @@ def test_csv_has_a_row_for_each_frame_and_overwrites_nothing(
     assert export(recording, "csv") == 0
     path = recording.with_name("rec.csv")
     assert capsys.readouterr().out == f"{path}: 5 frames, 2 in contact, 1 invalid\n"
-    rows = table(path)
+    rows = csv_rows(path)
     assert [row["contact"] for row in rows] == ["0", "1", "1", "", "0"]
     assert [row["valid"] for row in rows] == ["1", "1", "1", "0", "1"]
     assert float(rows[1]["depth_max_mm"]) == pytest.approx(touched_depth_mm(), abs=1e-3)
@@ -224,7 +219,7 @@ def test_recordings_of_a_hands_fingers_are_its_messages(
 ) -> None:
     fingers = [str(path) for path in record_hand(tmp_path)]
     assert main(["export", *fingers, "--to", "csv", "--out", str(tmp_path / "hand.csv")]) == 0
-    rows = table(tmp_path / "hand.csv")
+    rows = csv_rows(tmp_path / "hand.csv")
     assert (
         capsys.readouterr().out == f"{tmp_path / 'hand.csv'}: {len(rows)} messages of 2 fingers\n"
     )

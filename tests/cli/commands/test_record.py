@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.mqtt_rig import Broker, Subscriber, free_port
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.patience import patience, wait_until
 from tacshade_edge.calibration.files import calibration_file
@@ -24,26 +24,10 @@ from tacshade_edge.recording.runs import HEIGHTS, payloads
 from tacshade_edge.settings import load
 from tacshade_edge.wire import binary
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.broker,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.broker]
 BASE = "tacshade/tacshade"
 Child = subprocess.Popen[str]
 Start = Callable[..., Child]
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    with Broker(tmp_path) as started:
-        yield started
-
-
-@pytest.fixture
-def seen(broker: Broker) -> Iterator[Subscriber]:
-    with Subscriber(broker.port) as subscriber:
-        yield subscriber
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber, free_port
+from support.mqtt_rig import Broker, Subscriber, free_port
 from support.painted_sensor import FREE, TOUCHED, painted_calibration, touched_depth_mm
 from support.patience import patience, stretched, wait_until
 from tacshade_edge.calibration.files import calibration_file
@@ -32,11 +32,6 @@ CAMERA = "kind: v4l2, width_px: 160, height_px: 120"
 Child = subprocess.Popen[bytes]
 Lines = Callable[[], list[str]]
 Start = Callable[..., tuple[Child, Lines]]
-
-
-def needs_broker(test: Callable[..., None]) -> Callable[..., None]:
-    missing = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-    return pytest.mark.broker(missing(test))  # type: ignore[no-any-return]
 
 
 @pytest.fixture
@@ -106,7 +101,7 @@ def state(seen: Subscriber) -> str:
     return (seen.of(f"{BASE}/state") or [b""])[-1].decode()
 
 
-@needs_broker
+@pytest.mark.broker
 def test_a_signal_stops_it_cleanly(folder: Path, start: Start) -> None:
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         child, lines = start(settings(folder, broker.port))
@@ -122,7 +117,7 @@ def test_a_signal_stops_it_cleanly(folder: Path, start: Start) -> None:
         assert len(lines()) < 10  # state changes, not frames
 
 
-@needs_broker
+@pytest.mark.broker
 def test_a_killed_daemon_leaves_its_last_will(folder: Path, start: Start) -> None:
     with Broker(folder) as broker, Subscriber(broker.port) as seen:
         child, _ = start(settings(folder, broker.port))
@@ -178,7 +173,7 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
     assert done.stderr.rstrip().endswith("ZeroDivisionError: a defect\nin thread grab")
 
 
-@needs_broker
+@pytest.mark.broker
 def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
     for path in sorted((folder / "images").iterdir())[3:]:
         path.unlink()

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import json
 import shlex
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 import yaml
 
 from support.calibrated_sensor import HALF
+from support.csv_rows import csv_rows
 from support.progress_lines import only_progress
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate
@@ -25,11 +25,6 @@ pytestmark = pytest.mark.slow
 def half(monkeypatch: pytest.MonkeyPatch) -> None:
     """A camera of half the resolution."""
     monkeypatch.setattr(simulate, "SensorModel", lambda: HALF)
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def test_scenes_have_images_and_their_ground_truth(
@@ -53,7 +48,7 @@ def test_scenes_have_images_and_their_ground_truth(
         f"{tmp_path}: 2 images with ground truth, scenes.csv\nnext:\n  tacshade-edge simulate "
     )
     assert only_progress(printed.err)
-    none, cube = table(tmp_path / "scenes.csv")
+    none, cube = csv_rows(tmp_path / "scenes.csv")
     assert (none["object"], float(none["depth_max_mm"])) == ("none", 0.0)
     stated = {
         "depth_mm": "3.0",
@@ -109,7 +104,7 @@ def test_a_calibration_set_is_complete_repeatable_and_its_commands_run(
         "visible_half_angle_deg",
         "polarity",
     }
-    rows = table(one / "PRESSES.csv")
+    rows = csv_rows(one / "PRESSES.csv")
     assert list(rows[0]) == ["image", "indenter", "radius_mm", "depth_mm", "x_mm", "y_mm"]
     names = sorted(path.name for path in one.iterdir())
     assert len(names) == 8 + 8 + 3

@@ -14,7 +14,7 @@ import cv2
 import pytest
 
 from support.calibrated_sensor import calibrated, pressed, unloaded
-from support.mqtt_rig import MOSQUITTO, Broker
+from support.mqtt_rig import Broker
 from support.patience import wait_until
 from support.progress_lines import without_progress
 from support.published_sensor import DISC, PublishedSensor, bump, unmeasured
@@ -193,7 +193,6 @@ def test_live_touches_of_the_camera(
 
 @pytest.mark.slow
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_live_touches_of_the_running_daemon(
     calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
