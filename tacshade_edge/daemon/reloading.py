@@ -13,10 +13,8 @@ from tacshade_edge.calibration import loading
 from tacshade_edge.daemon.named_files import check_files
 from tacshade_edge.reasons import Reason
 from tacshade_edge.settings import Document, load
+from tacshade_edge.settings.model import RESTART_KEYS
 from tacshade_edge.types import Calibration
-
-# The source, the link and its topics, and the robot's line are made once.
-RESTART_KEYS = ("sensor_id", "source", "mqtt", "serial", "stitching", "hand_id")
 
 
 def reload(

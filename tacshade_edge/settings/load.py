@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -28,26 +28,14 @@ import yaml
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
-from tacshade_edge.sensor.profiles import AUTO
+from tacshade_edge.section import PATH, Section, marked
 from tacshade_edge.settings import strict_yaml
 from tacshade_edge.settings.conversion import convert
-from tacshade_edge.settings.model import (
-    FINGER,
-    HAND,
-    SENSORS,
-    Files,
-    Rpicam,
-    Settings,
-    Simulated,
-    Source,
-    V4l2,
-    wrong_with,
-)
+from tacshade_edge.settings.model import FINGER, HAND, SENSORS, Settings, wrong_with
 from tacshade_edge.settings.several import own_folders, split
 from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile
 
-# The unit of V4L2_CID_EXPOSURE_ABSOLUTE.
-_V4L2_EXPOSURE_US = 100
+T = TypeVar("T", bound=Section)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +97,7 @@ def load_all(path: Path) -> tuple[Document, ...]:
 
 def _document(file: YamlFile, *, several: bool) -> Document:
     settings = convert(file, Settings)
-    _check_profile(file, settings)
-    _check_size(file, settings.source)
-    _check_exposure(file, settings.source)
+    _check_rules(file, settings)
     _check_hand(file, settings, several=several)
     # Paths count from the file, wherever the daemon is started.
     settings = _absolute(settings, file.path.absolute().parent)
@@ -158,47 +144,17 @@ def _check_hand(file: YamlFile, settings: Settings, *, several: bool) -> None:
         raise file.error((FINGER,), problem)
 
 
-def _check_size(file: YamlFile, source: Source) -> None:
-    """Refuse a camera's width without a height, and a height without a width."""
-    if not isinstance(source, V4l2 | Rpicam):
-        return
-    missing = [name for name in ("width_px", "height_px") if getattr(source, name) is None]
-    if len(missing) == 1:
-        expected = "expected both width_px and height_px, or neither"
-        raise file.error(("source",), f"found no {missing[0]}, {expected}")
+def _check_rules(file: YamlFile, settings: Settings) -> None:
+    """Check the rules between the settings, those of the whole before those of a section."""
+    sections = [((), settings), *(((name,), each) for name, each in _sections(settings).items())]
+    for key, section in sections:
+        if wrong := section.misfit():
+            raise file.error((*key, *wrong[0]), wrong[1])
 
 
-def _check_exposure(file: YamlFile, source: Source) -> None:
-    """Refuse an exposure that does not fit into the frame period,
-    which slows the camera down without notice.
-    """
-    # rpicam-vid takes microseconds, UVC cameras tenths of milliseconds.
-    if isinstance(source, Rpicam):
-        name, value, unit_us = "exposure_us", source.exposure_us, 1
-    elif isinstance(source, V4l2) and source.exposure is not None:
-        name, value, unit_us = "exposure", source.exposure, _V4L2_EXPOSURE_US
-    else:
-        return
-    most = (1_000_000 - 1) // (source.fps * unit_us)
-    if value > most:
-        expected = (
-            f"expected at most {most}, because a frame takes {1e6 / source.fps:.0f} µs at "
-            f"{source.fps} frames/s"
-        )
-        raise file.error(("source", name), f"found {value}, {expected}")
-
-
-def _check_profile(file: YamlFile, settings: Settings) -> None:
-    """Check that `AUTO` has a budget, and nothing else."""
-    budget_ms = settings.latency_budget_ms
-    if (settings.profile == AUTO) == (budget_ms is not None):
-        return
-    given = "nothing" if budget_ms is None else f"{budget_ms:g}"
-    expected = "a number of milliseconds" if budget_ms is None else f"it with profile {AUTO} only"
-    raise file.error(
-        ("latency_budget_ms",),
-        f"found {given} with profile {settings.profile}, expected {expected}",
-    )
+def _sections(section: Section) -> dict[str, Section]:
+    values = {name: getattr(section, name) for name in section.__struct_fields__}
+    return {name: value for name, value in values.items() if isinstance(value, Section)}
 
 
 def to_yaml(settings: Settings) -> str:
@@ -208,22 +164,12 @@ def to_yaml(settings: Settings) -> str:
     return text
 
 
-def _absolute(settings: Settings, folder: Path) -> Settings:
+def _absolute(section: T, folder: Path) -> T:
     """The same settings with every relative path made absolute against `folder`."""
-
-    def at(section: Any, *names: str) -> Any:
-        paths = {name: getattr(section, name, None) for name in names}
-        absolute = {
-            name: str(named_file(folder, path)) for name, path in paths.items() if path is not None
-        }
-        return msgspec.structs.replace(section, **absolute)
-
-    source = settings.source
-    absolute: Settings = msgspec.structs.replace(
-        at(settings, "calibration"),
-        source=at(source, "path", "pressed") if isinstance(source, Files | Simulated) else source,
-        mqtt=at(settings.mqtt, "password_file", "ca_file"),
-        recorder=at(settings.recorder, "folder"),
-        stitching=at(settings.stitching, "folder"),
-    )
-    return absolute
+    changed: dict[str, Any] = {
+        name: str(named_file(folder, path))
+        for name in marked(type(section), PATH)
+        if (path := getattr(section, name)) is not None
+    }
+    changed |= {name: _absolute(each, folder) for name, each in _sections(section).items()}
+    return msgspec.structs.replace(section, **changed)

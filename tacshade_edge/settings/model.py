@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from tacshade_edge.section import PATH, RESTART, Section, marked
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.wire.broker_address import HOST
 
@@ -43,9 +44,33 @@ RPICAM_MULTIPLE_PX = 64
 which equals a width that is a multiple of it.
 """
 
+# The unit of V4L2_CID_EXPOSURE_ABSOLUTE.
+_V4L2_EXPOSURE_US: Final = 100
+
+
+def _size_misfit(width_px: int | None, height_px: int | None) -> tuple[tuple[str, ...], str] | None:
+    """A width without a height, or a height without a width."""
+    if (width_px is None) == (height_px is None):
+        return None
+    missing = "width_px" if width_px is None else "height_px"
+    return (), f"found no {missing}, expected both width_px and height_px, or neither"
+
+
+def _exposure_misfit(
+    name: str, exposure: int | None, unit_us: int, fps: float
+) -> tuple[tuple[str, ...], str] | None:
+    """An exposure that does not fit into the frame period,
+    which slows the camera down without notice.
+    """
+    most = (1_000_000 - 1) // (fps * unit_us)
+    if exposure is None or exposure <= most:
+        return None
+    period = f"a frame takes {1e6 / fps:.0f} µs at {fps} frames/s"
+    return (name,), f"found {exposure}, expected at most {most}, because {period}"
+
 
 class V4l2(
-    msgspec.Struct,
+    Section,
     frozen=True,
     forbid_unknown_fields=True,
     kw_only=True,
@@ -74,9 +99,14 @@ class V4l2(
         | None
     ) = None
 
+    def misfit(self) -> tuple[tuple[str, ...], str] | None:
+        return _size_misfit(self.width_px, self.height_px) or _exposure_misfit(
+            "exposure", self.exposure, _V4L2_EXPOSURE_US, self.fps
+        )
+
 
 class Rpicam(
-    msgspec.Struct,
+    Section,
     frozen=True,
     forbid_unknown_fields=True,
     kw_only=True,
@@ -119,9 +149,14 @@ class Rpicam(
         | None
     ) = None
 
+    def misfit(self) -> tuple[tuple[str, ...], str] | None:
+        return _size_misfit(self.width_px, self.height_px) or _exposure_misfit(
+            "exposure_us", self.exposure_us, 1, self.fps
+        )
+
 
 class Files(
-    msgspec.Struct,
+    Section,
     frozen=True,
     forbid_unknown_fields=True,
     kw_only=True,
@@ -132,7 +167,8 @@ class Files(
 
     path: Annotated[
         # An empty path would be the folder of the settings file.
-        str, Meta(min_length=1, description="a folder of images, an image or a video file")
+        str,
+        Meta(min_length=1, description="a folder of images, an image or a video file", extra=PATH),
     ]
     fps: (
         Annotated[
@@ -147,7 +183,7 @@ class Files(
 
 
 class Simulated(
-    msgspec.Struct,
+    Section,
     frozen=True,
     forbid_unknown_fields=True,
     kw_only=True,
@@ -158,7 +194,10 @@ class Simulated(
 
     fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
     pressed: (
-        Annotated[str, Meta(min_length=1, description="a CSV file that says what presses it now")]
+        Annotated[
+            str,
+            Meta(min_length=1, description="a CSV file that says what presses it now", extra=PATH),
+        ]
         | None
     ) = None
 
@@ -177,7 +216,7 @@ _ID = "^[A-Za-z0-9_-]{1,64}$"
 _SENSOR_ID = "^(?!hand$)[A-Za-z0-9_-]{1,64}$"
 
 
-class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Mqtt(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The broker."""
 
     host: Annotated[
@@ -187,11 +226,16 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     port: Annotated[int, Meta(ge=1, le=65535, description="TCP port of the broker")] = 1883
     username: Annotated[str, Meta(min_length=1, description="user name")] | None = None
     password_file: (
-        Annotated[str, Meta(min_length=1, description="file whose first line is the password")]
+        Annotated[
+            str, Meta(min_length=1, description="file whose first line is the password", extra=PATH)
+        ]
         | None
     ) = None
     ca_file: (
-        Annotated[str, Meta(min_length=1, description="PEM file of the broker's CA; turns TLS on")]
+        Annotated[
+            str,
+            Meta(min_length=1, description="PEM file of the broker's CA; turns TLS on", extra=PATH),
+        ]
         | None
     ) = None
     home_assistant: Annotated[bool, Meta(description="announce this sensor to Home Assistant")] = (
@@ -199,26 +243,28 @@ class Mqtt(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     )
 
 
-class Recorder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Recorder(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Recordings requested by ``req/record``."""
 
     folder: Annotated[
-        str, Meta(min_length=1, description="a folder for recordings, each in a subfolder")
+        str,
+        Meta(min_length=1, description="a folder for recordings, each in a subfolder", extra=PATH),
     ] = "/var/lib/tacshade-edge/recordings"
     pre_roll_s: Annotated[
         float, Meta(ge=0, le=60, description="a recording begins this long before its request")
     ] = 0.0
 
 
-class Stitching(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Stitching(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stitching sessions, if frames have poses."""
 
     folder: Annotated[
-        str, Meta(min_length=1, description="a folder for sessions, each in a subfolder")
+        str,
+        Meta(min_length=1, description="a folder for sessions, each in a subfolder", extra=PATH),
     ] = "/var/lib/tacshade-edge/sessions"
 
 
-class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Serial(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The robot's serial line."""
 
     device: Annotated[
@@ -234,7 +280,7 @@ class Serial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = 115200
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Settings(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything that a user can set."""
 
     sensor_id: Annotated[
@@ -242,10 +288,11 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Meta(
             pattern=_SENSOR_ID,
             description="letters, digits, - and _, not `hand`; part of every topic",
+            extra=RESTART,
         ),
     ] = "tacshade"
     calibration: Annotated[
-        str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote")
+        str, Meta(min_length=1, description="file that `tacshade-edge calibrate` wrote", extra=PATH)
     ] = "/var/lib/tacshade-edge/calibration.npz"
     profile: Annotated[
         # Their names are known only at run time, which a Literal cannot express.
@@ -266,20 +313,44 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Meta(description="when to compute the skin's shear, twist and slip"),
     ] = "asked"
     source: Annotated[
-        V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from")
+        V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from", extra=RESTART)
     ] = V4l2()
-    mqtt: Annotated[Mqtt, Meta(description="the broker")] = Mqtt()
+    mqtt: Annotated[Mqtt, Meta(description="the broker", extra=RESTART)] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
-    serial: Annotated[Serial, Meta(description="the robot's serial line")] | None = None
-    stitching: Annotated[Stitching, Meta(description="stitching sessions")] = Stitching()
+    serial: Annotated[Serial, Meta(description="the robot's serial line", extra=RESTART)] | None = (
+        None
+    )
+    stitching: Annotated[Stitching, Meta(description="stitching sessions", extra=RESTART)] = (
+        Stitching()
+    )
     hand_id: (
         Annotated[
             str,
-            Meta(pattern=_ID, description="letters, digits, - and _; part of the hand's topics"),
+            Meta(
+                pattern=_ID,
+                description="letters, digits, - and _; part of the hand's topics",
+                extra=RESTART,
+            ),
         ]
         | None
     ) = None
     hand_T_sensor: Placed | None = None
+
+    def misfit(self) -> tuple[tuple[str, ...], str] | None:
+        """Only `AUTO` has a budget, and it must have one."""
+        budget_ms = self.latency_budget_ms
+        if (self.profile == AUTO) == (budget_ms is not None):
+            return None
+        given = "nothing" if budget_ms is None else f"{budget_ms:g}"
+        expected = (
+            "a number of milliseconds" if budget_ms is None else f"it with profile {AUTO} only"
+        )
+        text = f"found {given} with profile {self.profile}, expected {expected}"
+        return ("latency_budget_ms",), text
+
+
+RESTART_KEYS: Final = marked(Settings, RESTART)
+"""What is made once: the source, the link and its topics, the robot's line."""
 
 
 def json_schema() -> dict[str, Any]:

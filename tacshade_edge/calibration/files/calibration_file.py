@@ -6,7 +6,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import MISSING, asdict, fields, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
@@ -52,7 +52,6 @@ REFERENCE_ARRAYS = ("reference_white", "reference_grey")
 TOUCH_BYTES_MAX = 4 << 20
 _IMAGE_AXES = 2  # a grey image has rows and columns, nothing else
 _ALWAYS = ("factors", "fit", "flange_T_sensor")
-_PER_PROFILE = ("presses", "depth_mae_mm", "depth_worst_mm")
 _Shape = list[Annotated[int, Meta(ge=0)]]
 
 
@@ -62,33 +61,40 @@ def fit_figures(fit: Fit | None) -> dict[str, float]:
     """
     if fit is None:
         return {}
-    figures = {
-        name: float(getattr(fit, name))
-        for name in ("presses", "agreement_mae_mm", "position_mae_mm")
-    }
+    figures = _figures(fit)
     for name, profile in fit.profiles.items():
-        figures |= {f"{name}_{part}": float(getattr(profile, part)) for part in _PER_PROFILE}
+        figures |= {f"{name}_{part}": value for part, value in _figures(profile).items()}
     return figures
+
+
+def _figures(fit: Fit | ProfileFit) -> dict[str, float]:
+    # Without those at their default, so that a file from before they existed keeps its checksum.
+    return {
+        each.name: float(value)
+        for each in fields(fit)
+        if each.name != "profiles" and (value := getattr(fit, each.name)) != each.default
+    }
 
 
 def _fit(figures: Any) -> Fit | None:
     """The fit that `fit_figures` flattened. Raises ValueError."""
-    given: dict[str, Any] = dict(
-        msgspec.convert(figures, dict[str, Annotated[float, Meta(ge=0, le=1e6)]])
-    )
+    given = msgspec.convert(figures, dict[str, Annotated[float, Meta(ge=0, le=1e6)]])
     if not given:
         return None
     suffix = "_depth_mae_mm"
     names = [key.removesuffix(suffix) for key in given if key.endswith(suffix)]
-    try:
-        for key in ("presses", *(f"{name}_presses" for name in names)):
-            given[key] = int(given[key])
-        profiles = {
-            name: ProfileFit(*(given[f"{name}_{part}"] for part in _PER_PROFILE)) for name in names
-        }
-        return Fit(given["presses"], given["agreement_mae_mm"], given["position_mae_mm"], profiles)
-    except KeyError as error:
-        raise ValueError(f"fit: found no {error}") from None
+    profiles = {name: ProfileFit(**_known(ProfileFit, given, f"{name}_")) for name in names}
+    return Fit(**_known(Fit, given), profiles=profiles)
+
+
+def _known(kind: type, given: Mapping[str, float], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for each in fields(kind):
+        if (key := prefix + each.name) in given:
+            found[each.name] = int(given[key]) if each.name == "presses" else given[key]
+        elif each.default is MISSING and each.default_factory is MISSING:
+            raise ValueError(f"fit: found no '{key}'")
+    return found
 
 
 def _content(calibration: Calibration) -> Content:
