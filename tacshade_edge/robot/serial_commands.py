@@ -14,13 +14,14 @@ from typing import Any
 
 from tacshade_edge.pipeline.observer import FrameWaiters, Reply
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.clock_sync import SyncState
 from tacshade_edge.robot.robot_motion import ClockExchanged, RobotMotion
 from tacshade_edge.robot.serial_link import SerialLink
 from tacshade_edge.robot.touch_events import TouchEvents
-from tacshade_edge.robot.verbs import Command, parse_touch
+from tacshade_edge.robot.verbs import VERBS, Command, TouchAsked
 from tacshade_edge.types import Frame, Reconstruction
 from tacshade_edge.wire.requests import Request
-from tacshade_edge.wire.results import ClockRead, FrameCaptured, LineStatus, SerialResult
+from tacshade_edge.wire.results import CommandResult, FrameCaptured
 
 # Events of a robot that does not read: old ones are worth less than the newest.
 TOLD_MAX = 16
@@ -42,7 +43,7 @@ class SerialCommands:
     # robot, since they ask it for poses.
     stitch: Callable[[str, str, Reply], None] | None = None
     # The main and the reconstruct thread put, the serial thread takes.
-    _answers: SimpleQueue[tuple[Command, SerialResult | Reason]] = field(
+    _answers: SimpleQueue[tuple[Command, CommandResult | Reason]] = field(
         default_factory=SimpleQueue
     )
     _told: deque[str] = field(default_factory=partial(deque, maxlen=TOLD_MAX))
@@ -52,34 +53,46 @@ class SerialCommands:
 
     def handle(self, command: Command, link: SerialLink) -> None:
         """Start a command; called in the serial thread."""
-        if command.verb == "SYNC":
-            # Answered in this thread, at once: what passes between the two readings of the clock
-            # is part of the round trip, and so of the error of every pose's time.
-            t1_ns, *rest = map(int, command.args)
-            t3_ns = time.monotonic_ns()
-            link.answer(command, ClockRead(command.arrived_ns, t3_ns))
-            self.motion.hear(
-                ClockExchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None)
-            )
-        elif command.verb == "STATUS":
-            link.answer(command, self._status(link))
-        elif (missing := self.missing()) is not None:
-            # The verbs above need no calibration: clock and poses are ready when one appears.
-            link.answer(command, missing)
-        elif command.verb == "TOUCH":
-            link.answer(command, self.touch.switch(parse_touch(command.args)))
-        elif command.verb == "CAPTURE":
-            # The first frame taken after the command arrived: one that was on its way shows what
-            # was before.
-            self._captures.put(command.arrived_ns, partial(self._answer, command))
-        elif command.verb == "REFERENCE":
-            self.on_request(Request("reference"), partial(self._answer, command))
-        elif command.verb == "STITCH" and self.stitch is not None:
-            action, *name = command.args
-            self.stitch(action, name[0] if name else "", partial(self._answer, command))
-        else:
-            text = f"this daemon is not ready to {command.verb.lower()}"
-            link.answer(command, Reason(ReasonCode.UNAVAILABLE, text))
+        verb = VERBS[command.verb]
+        assert verb.start is not None
+        outcome: CommandResult | Reason | None = self.missing() if verb.needs_calibration else None
+        if outcome is None:
+            outcome = verb.start(command, self, link.counts)
+        if outcome is not None:
+            link.answer(command, outcome)
+
+    # -- what the verbs ask for (`verbs.Desk`) -----------------------------------------------------
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sensor_state(self) -> dict[str, Any]:
+        return self.state()
+
+    def sync_state(self) -> SyncState:
+        return self.motion.state()
+
+    def exchanged(self, t1_ns: int, t2_ns: int, t3_ns: int, t4_ns: int | None) -> None:
+        self.motion.hear(ClockExchanged(t1_ns, t2_ns, t3_ns, t4_ns))
+
+    def switch_touch(self, asked: TouchAsked | None) -> CommandResult | Reason:
+        return self.touch.switch(asked)
+
+    def capture(self, command: Command) -> None:
+        # The first frame taken after the command arrived: one that was on its way shows what was
+        # before.
+        self._captures.put(command.arrived_ns, partial(self._answer, command))
+
+    def request(self, request: Request, command: Command) -> None:
+        self.on_request(request, partial(self._answer, command))
+
+    def stitch_asked(self, action: str, name: str, command: Command) -> Reason | None:
+        if self.stitch is None:
+            return Reason(ReasonCode.UNAVAILABLE, "this daemon is not ready to stitch")
+        self.stitch(action, name, partial(self._answer, command))
+        return None
+
+    # -- the answers -------------------------------------------------------------------------------
 
     def tell(self, event: str) -> None:
         """Send an event to the robot; with `TOLD_MAX` waiting, the oldest is dropped."""
@@ -110,23 +123,9 @@ class SerialCommands:
         for answer in self._captures.take(frame.t_ns):
             answer(_captured(frame, result))
 
-    def _answer(self, command: Command, outcome: SerialResult | Reason) -> None:
+    def _answer(self, command: Command, outcome: CommandResult | Reason) -> None:
         self._answers.put((command, outcome))
         self.wake()
-
-    def _status(self, link: SerialLink) -> LineStatus:
-        state, sync, counts = self.state(), self.motion.state(), link.counts
-        return LineStatus(
-            camera=state["source"],
-            fps=state["health"].get("delivered_fps", 0),
-            sync=sync.mode,
-            error_us=sync.error_us,
-            drift_ppm=sync.drift_ppm,
-            poses=counts.poses,
-            lost=counts.poses_lost,
-            damaged=counts.damaged,
-            garbage=counts.garbage,
-        )
 
 
 def _captured(frame: Frame, result: Reconstruction) -> FrameCaptured | Reason:

@@ -24,7 +24,7 @@ from tacshade_edge.robot.verbs import (
     parse_command,
     parse_hello,
 )
-from tacshade_edge.wire.results import SerialResult
+from tacshade_edge.wire.results import CommandResult
 
 # Poses come up to a thousand times a second: as many answers would fill the line.
 BAD_POSE_PERIOD_NS: Final = 1_000_000_000
@@ -151,7 +151,7 @@ class SerialLink:
             )
         return received
 
-    def answer(self, command: Command, outcome: SerialResult | Reason) -> None:
+    def answer(self, command: Command, outcome: CommandResult | Reason) -> None:
         """Answer ``OK`` or ``ERR``; ignore a command of an earlier session,
         whose number may mean another one now.
         """

@@ -1,4 +1,4 @@
-"""The verbs of the robot's line: their arguments, and the texts of ``OK``,
+"""The verbs of the robot's line: their arguments and what each starts, and the texts of ``OK``,
 ``ERR`` and ``EVT`` lines.
 """
 
@@ -8,16 +8,19 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Protocol
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.clock_sync import SyncState
+from tacshade_edge.robot.framing import LinkCounts
 from tacshade_edge.robot.line import Line, printable, seal
 from tacshade_edge.robot.pose import T_NS_MAX, parse_time
 from tacshade_edge.types import QUANTITIES
 from tacshade_edge.wire.error_words import OTHERWISE, error_word
-from tacshade_edge.wire.results import ClockRead, SerialResult
+from tacshade_edge.wire.requests import Request
+from tacshade_edge.wire.results import ClockRead, CommandResult, LineStatus
 
 PROTOCOL_VERSION: Final = 1
 NAMES_MAX: Final = 6
@@ -119,12 +122,74 @@ def parse_touch(args: Sequence[str]) -> TouchAsked | None:
     return TouchAsked(tuple(names), rate_hz)
 
 
+# -- what they start -------------------------------------------------------------------------------
+
+
+class Desk(Protocol):
+    """What a verb may ask of the daemon. Who answers later does so once."""
+
+    def now_ns(self) -> int:
+        """The daemon's clock."""
+
+    def sensor_state(self) -> dict[str, Any]:
+        """The source's state and the latest ``health``."""
+
+    def sync_state(self) -> SyncState:
+        """What is known of the robot's clock."""
+
+    def exchanged(self, t1_ns: int, t2_ns: int, t3_ns: int, t4_ns: int | None) -> None:
+        """Note a ``SYNC`` and its answer."""
+
+    def switch_touch(self, asked: TouchAsked | None) -> CommandResult | Reason:
+        """Start or stop the touch events."""
+
+    def capture(self, command: Command) -> None:
+        """Answer with the first frame taken after the command arrived."""
+
+    def request(self, request: Request, command: Command) -> None:
+        """Answer with the outcome of a request."""
+
+    def stitch_asked(self, action: str, name: str, command: Command) -> Reason | None:
+        """Answer with the outcome of a session's command, unless there are no sessions."""
+
+
+def _sync(command: Command, desk: Desk, _: LinkCounts) -> CommandResult:
+    # Answered in this thread, at once: what passes between the two readings of the clock is part of
+    # the round trip, and so of the error of every pose's time.
+    t1_ns, *rest = map(int, command.args)
+    t3_ns = desk.now_ns()
+    desk.exchanged(t1_ns, command.arrived_ns, t3_ns, rest[0] if rest else None)
+    return ClockRead(command.arrived_ns, t3_ns)
+
+
+def _status(_: Command, desk: Desk, counts: LinkCounts) -> CommandResult:
+    state, sync = desk.sensor_state(), desk.sync_state()
+    return LineStatus(
+        camera=state["source"],
+        fps=state["health"].get("delivered_fps", 0),
+        sync=sync.mode,
+        error_us=sync.error_us,
+        drift_ppm=sync.drift_ppm,
+        poses=counts.poses,
+        lost=counts.poses_lost,
+        damaged=counts.damaged,
+        garbage=counts.garbage,
+    )
+
+
+def _stitch(command: Command, desk: Desk, _: LinkCounts) -> Reason | None:
+    action, *name = command.args
+    return desk.stitch_asked(action, name[0] if name else "", command)
+
+
 @dataclass(frozen=True, slots=True)
 class SerialVerb:
     """A verb's arguments as ``HELP`` shows them, how many there may be,
     and what raises DecodeError for wrong ones.
 
-    If there are `words`, the first argument is one of them, in any case.
+    If there are `words`, the first argument is one of them, in any case. `start` carries it out,
+    and returns its answer unless that comes later; without it, the verb is for the link itself. A
+    verb that `needs_calibration` is refused without one.
     """
 
     usage: str = ""
@@ -132,22 +197,37 @@ class SerialVerb:
     most: int = 0
     words: tuple[str, ...] = ()
     check: Callable[[Sequence[str]], object] = len
+    start: Callable[[Command, Desk, LinkCounts], CommandResult | Reason | None] | None = None
+    needs_calibration: bool = True
 
 
-VERBS: Final = {  # HELLO, POSE and HELP are for the link itself and never a command
+VERBS: Final[dict[str, SerialVerb]] = {
     "HELLO": SerialVerb("1 [crc=req|opt] [boot=ID]"),
-    "SYNC": SerialVerb("t1 [t4]", 1, 2, check=lambda args: [parse_time(text) for text in args]),
+    # Clock and poses are ready when a calibration appears.
+    "SYNC": SerialVerb(
+        "t1 [t4]",
+        1,
+        2,
+        check=lambda args: [parse_time(text) for text in args],
+        start=_sync,
+        needs_calibration=False,
+    ),
     "POSE": SerialVerb("t x y z qw qx qy qz"),
-    "CAPTURE": SerialVerb(),
-    "REFERENCE": SerialVerb(),
-    "STITCH": SerialVerb(f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS),
+    "CAPTURE": SerialVerb(start=lambda command, desk, _: desk.capture(command)),
+    "REFERENCE": SerialVerb(
+        start=lambda command, desk, _: desk.request(Request("reference"), command)
+    ),
+    "STITCH": SerialVerb(
+        f"{'|'.join(_STITCH_ACTIONS)} [NAME]", 1, 2, words=_STITCH_ACTIONS, start=_stitch
+    ),
     "TOUCH": SerialVerb(
         f"OFF|ON NAME... [RATE], 1 to {NAMES_MAX} of {' '.join(QUANTITIES)}",
         1,
         NAMES_MAX + 2,
         check=parse_touch,
+        start=lambda command, desk, _: desk.switch_touch(parse_touch(command.args)),
     ),
-    "STATUS": SerialVerb(),
+    "STATUS": SerialVerb(start=_status, needs_calibration=False),
     "MODE": SerialVerb("BIN|ASCII", 1, 1, words=("BIN", "ASCII")),
     "HELP": SerialVerb("[VERB]"),
 }
@@ -204,7 +284,7 @@ def _unknown_verb(verb: str) -> Reason:
 # -- the texts -------------------------------------------------------------------------------------
 
 
-def answer_text(seq: int | None, outcome: SerialResult | Reason | str, verb: str = "") -> str:
+def answer_text(seq: int | None, outcome: CommandResult | Reason | str, verb: str = "") -> str:
     """The line that answers the command `seq`; docs/reference/serial.md describes each.
 
     ``-`` if it has no number.

@@ -12,19 +12,21 @@ from msgspec.structs import asdict
 from tacshade_edge.reasons import Reason
 
 
-class _Result(msgspec.Struct, frozen=True):
+class CommandResult(msgspec.Struct, frozen=True):
+    """What a command found or did."""
+
     def figures(self) -> dict[str, Any]:
         """The values by name, in order, rounded as both sides report them."""
         return asdict(self)
 
 
-class ProfileChosen(_Result, frozen=True):
+class ProfileChosen(CommandResult, frozen=True):
     """Result of ``req/profile``: the profile now in use."""
 
     profile: str
 
 
-class ReferenceTaken(_Result, frozen=True):
+class ReferenceTaken(CommandResult, frozen=True):
     """Result of ``req/reference`` and ``REFERENCE``:
     the mean of `frames` images, their RMS of g in grey levels.
     """
@@ -41,13 +43,13 @@ class ReferenceTaken(_Result, frozen=True):
         return {**found, "stored": stored}
 
 
-class SessionBegun(_Result, frozen=True):
+class SessionBegun(CommandResult, frozen=True):
     """A stitching session is open."""
 
     name: str
 
 
-class PressAdded(_Result, frozen=True):
+class PressAdded(CommandResult, frozen=True):
     """The frame numbered `frame` has been stored on disk and added to the map as a press,
     numbered from 1.
     """
@@ -57,7 +59,7 @@ class PressAdded(_Result, frozen=True):
     points: int
 
 
-class SessionEnded(_Result, frozen=True):
+class SessionEnded(CommandResult, frozen=True):
     """The session ended, and `used` of its presses are in its final map."""
 
     name: str
@@ -75,14 +77,14 @@ class SessionEnded(_Result, frozen=True):
         return {**asdict(self), "refined": int(self.refined), **rounded}
 
 
-class SessionAborted(_Result, frozen=True):
+class SessionAborted(CommandResult, frozen=True):
     """The session was discarded with its presses."""
 
     name: str
     presses: int
 
 
-class SessionStatus(_Result, frozen=True):
+class SessionStatus(CommandResult, frozen=True):
     """The open session; `missed` counts the contacts at rest that could not be added."""
 
     name: str
@@ -96,7 +98,7 @@ class SessionStatus(_Result, frozen=True):
         return {"open": 1, **asdict(self)}
 
 
-class NoSession(_Result, frozen=True):
+class NoSession(CommandResult, frozen=True):
     """The status while no session is open."""
 
     def figures(self) -> dict[str, Any]:
@@ -109,7 +111,7 @@ SessionResult = (
 RequestResult = ProfileChosen | ReferenceTaken | SessionResult
 
 
-class ClockRead(_Result, frozen=True):
+class ClockRead(CommandResult, frozen=True):
     """Result of ``SYNC``: when it arrived and when this reply is sent,
     in ns of the daemon's clock.
     """
@@ -118,7 +120,7 @@ class ClockRead(_Result, frozen=True):
     t3_ns: int
 
 
-class FrameCaptured(_Result, frozen=True):
+class FrameCaptured(CommandResult, frozen=True):
     """Result of ``CAPTURE``: one reconstruction.
 
     `pose_error_us` is None if the frame has no pose; depth and area are None if the frame is
@@ -148,7 +150,7 @@ class FrameCaptured(_Result, frozen=True):
         )
 
 
-class LineStatus(_Result, frozen=True):
+class LineStatus(CommandResult, frozen=True):
     """Result of ``STATUS``: the camera's state and rate in 1/s, the clock's accuracy,
     and the counts of the line.
     """
@@ -164,15 +166,10 @@ class LineStatus(_Result, frozen=True):
     garbage: int
 
 
-class TouchSwitched(_Result, frozen=True):
+class TouchSwitched(CommandResult, frozen=True):
     """Result of ``TOUCH``: the greatest number of events per second; 0 is off."""
 
     rate_hz: int
 
     def figures(self) -> dict[str, Any]:
         return {"on": 1, "rate_hz": self.rate_hz} if self.rate_hz else {"on": 0}
-
-
-SerialResult = (
-    ClockRead | FrameCaptured | LineStatus | TouchSwitched | ReferenceTaken | SessionResult
-)

@@ -29,12 +29,12 @@ from tacshade_edge.robot.verbs import (
 from tacshade_edge.types import QUANTITIES
 from tacshade_edge.wire.results import (
     ClockRead,
+    CommandResult,
     FrameCaptured,
     LineStatus,
     NoSession,
     PressAdded,
     ReferenceTaken,
-    SerialResult,
     SessionAborted,
     SessionBegun,
     SessionEnded,
@@ -93,7 +93,7 @@ LONGEST = tuple(sorted(QUANTITIES, key=len)[-NAMES_MAX:])
         (SessionAborted("pad-1", 3), "name=pad-1 presses=3"),
     ],
 )
-def test_what_follows_ok(result: SerialResult, text: str) -> None:
+def test_what_follows_ok(result: CommandResult, text: str) -> None:
     assert answer_text(7, result) == f"OK 7 {text}"
     assert answer_text(None, result) == f"OK - {text}"
 
