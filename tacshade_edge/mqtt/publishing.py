@@ -25,6 +25,15 @@ _log = logging.getLogger(__name__)
 
 # Without contact; in contact, every frame is published.
 CONTACT_PERIOD_NS = 100_000_000
+_NEEDS = {
+    "height": Need.DEPTH,
+    "cloud": Need.DEPTH,
+    "contact": Need.DEPTH,
+    "shear": Need.SHEAR,
+    "sigma": Need.SIGMA,
+    "touch": Need.TOUCH,
+}
+"""What a subscriber to a topic needs of each frame."""
 
 
 @dataclass(eq=False)
@@ -49,13 +58,10 @@ class Publisher(FrameObserver):
     _contact_sent_ns: int | None = None
 
     def need(self) -> Need:
-        need = Need.SHEAR if self.always_shear or self.has_listener("shear") else Need.CONTACT
-        if self.has_listener("sigma"):
-            need |= Need.SIGMA
-        if self.has_listener("touch"):
-            need |= Need.TOUCH
-        if any(map(self.has_listener, ("height", "cloud", "contact"))):
-            need |= Need.DEPTH
+        need = Need.SHEAR if self.always_shear else Need.CONTACT
+        for stream, needed in _NEEDS.items():
+            if self.has_listener(stream):
+                need |= needed
         return need
 
     def settings_changed(self, settings: Settings) -> None:

@@ -40,27 +40,45 @@ class Taken(TypedDict, total=False):
     pose_error_us: int
 
 
-def encode_height(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
-    """The ``height`` payload of a reconstruction: values rounded to the nearest 0.001 mm and
-    clamped to ±32.767 mm, infinities too; NaN becomes -32768.
+def encode_grid(kind: int, result: Reconstruction, values_mm: F32, **taken: Unpack[Taken]) -> bytes:
+    """The payload of one of `wire_format.GRIDS`: the values of each cell of a reconstruction,
+    (rows, cols) or (rows, cols, values), rounded to the nearest 0.001 mm and clamped to ±32.767 mm,
+    infinities too; NaN becomes -32768.
 
     Raises ValueError for a grid of more than 65535 rows or columns.
     """
-    return _pack_grid(wire_format.HEIGHT, result, result.height.height_mm, taken)
+    rows, cols = values_mm.shape[:2]
+    if max(rows, cols) > wire_format.SIDE_MAX:
+        raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
+    # Before the multiplication, which could overflow.
+    steps = values_mm.clip(-_LIMIT_MM, _LIMIT_MM)
+    # In one array, since this happens to each frame of each sensor.
+    np.multiply(steps, _PER_MM, out=steps)
+    np.rint(steps, out=steps)
+    # fmax replaces NaN, maximum would keep it.
+    np.fmax(steps, _OUTSIDE, out=steps)
+    height = result.height
+    grid = height.row0, height.col0, height.step_px
+    return _pack(kind, result, taken, (rows, cols), grid, steps.astype("<i2").tobytes())
+
+
+def encode_height(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
+    """The ``height`` payload of a reconstruction."""
+    return encode_grid(wire_format.HEIGHT, result, result.height.height_mm, **taken)
 
 
 def encode_shear(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
     """The ``shear`` payload of a reconstruction with shear:
-    x, y of each cell, encoded like heights.
+    x, y of each cell.
     """
     assert result.shear_mm is not None
-    return _pack_grid(wire_format.SHEAR, result, result.shear_mm, taken)
+    return encode_grid(wire_format.SHEAR, result, result.shear_mm, **taken)
 
 
 def encode_sigma(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
-    """The ``sigma`` payload of a reconstruction with sigma, encoded like heights."""
+    """The ``sigma`` payload of a reconstruction with sigma."""
     assert result.sigma_mm is not None
-    return _pack_grid(wire_format.SIGMA, result, result.sigma_mm, taken)
+    return encode_grid(wire_format.SIGMA, result, result.sigma_mm, **taken)
 
 
 def encode_cloud(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
@@ -101,22 +119,6 @@ def _cloud(
     )
     # The header has no field for a number of points: its two sides hold the halves.
     return (len(labels) & wire_format.SIDE_MAX, len(labels) >> 16), (0.0, 0.0, 0.0), data
-
-
-def _pack_grid(kind: int, result: Reconstruction, values_mm: F32, taken: Taken) -> bytes:
-    rows, cols = values_mm.shape[:2]
-    if max(rows, cols) > wire_format.SIDE_MAX:
-        raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
-    # Before the multiplication, which could overflow.
-    steps = values_mm.clip(-_LIMIT_MM, _LIMIT_MM)
-    # In one array, since this happens to each frame of each sensor.
-    np.multiply(steps, _PER_MM, out=steps)
-    np.rint(steps, out=steps)
-    # fmax replaces NaN, maximum would keep it.
-    np.fmax(steps, _OUTSIDE, out=steps)
-    height = result.height
-    grid = height.row0, height.col0, height.step_px
-    return _pack(kind, result, taken, (rows, cols), grid, steps.astype("<i2").tobytes())
 
 
 def _pack(

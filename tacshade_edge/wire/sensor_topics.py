@@ -1,10 +1,10 @@
-"""What a sensor publishes as JSON: the type of each topic, with its bounds."""
+"""What a sensor publishes as JSON: the type of each topic, with its bounds, and `OF_JSON`."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
@@ -237,3 +237,18 @@ class Status:
     state: str = ""
     reason: str | None = ""
     reason_code: Code | None = ""
+
+
+OF_JSON: Final[dict[str, type]] = {
+    "contact": Contact,
+    "touch": TouchNumbers,
+    "event/slip": SlipEvent,
+    "event/contact": ContactEvent,
+    "event/object": ObjectEvent,
+    "info": Info,
+    "map/revision": StitchedMap,
+    "map/final": StitchedMap,
+}
+"""The topics of these types."""
+NEWEST_WINS: Final = frozenset({"contact", "touch", "map/revision"})
+"""Those of whose messages only the newest is of use."""

@@ -1,7 +1,8 @@
 """The table of all topics: how each payload is decoded.
 
-The types are in `sensor_topics`, `hand_topics` and `health_topics`. Daemons fill them in, and
-subscribers decode them; anything that no daemon publishes is rejected.
+The types are in `sensor_topics` and `wire_format`, each with its topic, `hand_topics` and
+`health_topics`. Daemons fill them in, and subscribers decode them; anything that no daemon
+publishes is rejected.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from .codec import decode_json, decode_object
 from .hand_topics import HandObjects
 from .health_topics import HandHealth, Health
 from .sensor_topics import (
+    NEWEST_WINS,
+    OF_JSON,
     Contact,
     ContactEvent,
     Info,
@@ -25,7 +28,7 @@ from .sensor_topics import (
     StitchedMap,
     TouchNumbers,
 )
-from .wire_format import CloudMessage, HeightMessage, ShearMessage, SigmaMessage, decode
+from .wire_format import GRIDS, CloudMessage, decode
 
 State = Literal["online", "degraded", "stopped", "offline"]
 STATES: Final[tuple[State, ...]] = get_args(State)
@@ -101,20 +104,11 @@ _OF_BOTH: Final = {
 }
 OF_SENSORS: Final[dict[str, Topic]] = {
     **_OF_BOTH,
-    "height": _binary(HeightMessage, "height"),
+    **{name: _binary(kind, name) for name, kind, _ in GRIDS.values()},
     "cloud": _binary(CloudMessage, "cloud"),
-    "shear": _binary(ShearMessage, "shear"),
-    "sigma": _binary(SigmaMessage, "sigma"),
     "map/cloud": _binary(CloudMessage, "cloud"),
-    "contact": _json(Contact, newest_wins=True),
-    "touch": _json(TouchNumbers, newest_wins=True),
-    "event/slip": _json(SlipEvent),
-    "event/contact": _json(ContactEvent),
-    "event/object": _json(ObjectEvent),
+    **{name: _json(kind, newest_wins=name in NEWEST_WINS) for name, kind in OF_JSON.items()},
     "health": _json(Health, newest_wins=True),
-    "info": _json(Info),
-    "map/revision": _json(StitchedMap, newest_wins=True),
-    "map/final": _json(StitchedMap),
     "preview": Topic(decode_preview, "image/jpeg", newest_wins=True),
     "status/": Topic(decode_status),
     "res/": Topic(decode_object),

@@ -134,12 +134,14 @@ HEIGHT: Final = 1
 CLOUD: Final = 2
 SHEAR: Final = 3
 SIGMA: Final = 4
-_GRIDS: Final[dict[int, tuple[type[HeightMessage | ShearMessage | SigmaMessage], str, int]]] = {
-    HEIGHT: (HeightMessage, "height_mm", 1),
-    SHEAR: (ShearMessage, "shear_mm", 2),
-    SIGMA: (SigmaMessage, "sigma_mm", 1),
+GRIDS: Final[dict[int, tuple[str, type[HeightMessage | ShearMessage | SigmaMessage], int]]] = {
+    HEIGHT: ("height", HeightMessage, 1),
+    SHEAR: ("shear", ShearMessage, 2),
+    SIGMA: ("sigma", SigmaMessage, 1),
 }
-"""The kinds with a value per cell: the message, its array, and the number of values per cell."""
+"""The kinds with values in each cell: the topic, with ``_mm`` the name of the message's array; the
+message; and the number of values in a cell.
+"""
 
 
 def pack(
@@ -229,12 +231,12 @@ def decode(data: bytes | bytearray | memoryview) -> Message:
             np.uint16, copy=False
         )
         return CloudMessage(**common, points_mm=points.reshape(n, 3), labels=labels)
-    made, name, per_cell = _GRIDS[kind]
+    topic, made, per_cell = GRIDS[kind]
     steps = np.frombuffer(data, "<i2", rows * cols * per_cell, HEADER_BYTES)
     # Scalars of float32: with a Python float the product would be float64, twice the memory.
     values_mm = np.where(steps == OUTSIDE, np.float32(np.nan), steps * np.float32(scale_mm))
     values_mm.setflags(write=False)
-    common[name] = values_mm.reshape((rows, cols, per_cell)[: 1 + per_cell])
+    common[f"{topic}_mm"] = values_mm.reshape((rows, cols, per_cell)[: 1 + per_cell])
     return made(**common, row0=row0, col0=col0, step_px=step_px)
 
 
@@ -256,7 +258,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
     for offset, name, found, expected in (
         ("0", "magic", magic, (_MAGIC,)),
         ("4", "wire version", version, (WIRE_VERSION,)),
-        ("5", "kind", kind, sorted((CLOUD, *_GRIDS))),
+        ("5", "kind", kind, sorted((CLOUD, *GRIDS))),
         ("6", "codec", codec, (_RAW,)),
     ):
         if found not in expected:
@@ -265,7 +267,7 @@ def _check(data: bytes) -> tuple[int, int, int]:
     # Before anything of that size is computed or allocated: the header may be a stranger's.
     if cells > CELLS_MAX:
         _refuse("32", f"{cells} cells or points", f"at most {CELLS_MAX}")
-    needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == CLOUD else 2 * _GRIDS[kind][2])
+    needed = cells * (_POINT_BYTES + _LABEL_BYTES if kind == CLOUD else 2 * GRIDS[kind][2])
     if stated != needed:
         _refuse("84", f"{stated} payload bytes", f"{needed}")
     if len(data) != HEADER_BYTES + stated:

@@ -17,6 +17,7 @@ from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.stitching.session import MapPublisher, MapRevision
 from tacshade_edge.stitching.stitcher import Raster
 from tacshade_edge.wire import binary
+from tacshade_edge.wire.topics import OF_SENSORS
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs/reference/mqtt"
@@ -150,6 +151,16 @@ def test_every_reason_has_its_row() -> None:
     codes = [code.value for code in ReasonCode]
     assert sorted(set(codes) - set(rows)) == [], "reasons without a row"
     assert sorted(rows) == sorted(codes)
+
+
+def test_every_topic_has_its_row() -> None:
+    table = (
+        (PAGES.parent / "mqtt.md").read_text().partition("## Topics")[2].partition("\n\nIn a")[0]
+    )
+    rows = set(
+        re.findall(r"`([a-z/<>]+)`", "".join(re.findall(r"^\|([^|]+)", table, re.MULTILINE)))
+    )
+    assert {re.sub("<.*", "", name) for name in rows} == {*OF_SENSORS, "req/", "doctor"}
 
 
 def test_header_table_is_without_a_gap() -> None:
