@@ -13,14 +13,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 _RELIGHT = (
     "restore the light and source.exposure to what they were at calibration, or calibrate again"
 )
-USB_CABLE = (
-    "plug it in again, into another USB port or a powered hub; sudo dmesg shows what the kernel saw"
-)
-RIBBON_CABLE = (
-    "is the ribbon cable plugged in at both ends, contacts facing contacts? "
-    "rpicam-hello --list-cameras lists it"
-)
-_END_THE_OTHER = "end the other program that uses it; tacshade-edge doctor names it"
+END_THE_OTHER = "end the other program that uses it; tacshade-edge doctor names it"
 
 OF_FRAMES = {
     ReasonCode.SIZE: (
@@ -45,26 +38,6 @@ OF_FRAMES = {
     ReasonCode.TORN: (
         "frames are damaged on the way: try another USB port, a shorter cable or a lower rate"
     ),
-}
-OF_USB_CAMERAS = {
-    ReasonCode.ABSENT: "plug it in, or set source.device to one that tacshade-edge doctor lists",
-    ReasonCode.PERMISSION: "sudo usermod -aG video $USER, then log out and in again",
-    ReasonCode.IN_USE: _END_THE_OTHER,
-    ReasonCode.NOT_OFFERED: (
-        "set source.fourcc, width_px, height_px and fps to what v4l2-ctl --list-formats-ext lists"
-    ),
-    ReasonCode.NO_ANSWER: USB_CABLE,
-    ReasonCode.LOST: USB_CABLE,
-    ReasonCode.STALLED: USB_CABLE,
-}
-OF_CSI_CAMERAS = {
-    ReasonCode.ABSENT: RIBBON_CABLE,
-    ReasonCode.IN_USE: _END_THE_OTHER,
-    ReasonCode.NOT_OFFERED: (
-        "set source.width_px and height_px to a size that rpicam-hello --list-cameras shows"
-    ),
-    ReasonCode.LOST: RIBBON_CABLE,
-    ReasonCode.STALLED: RIBBON_CABLE,
 }
 
 MESSAGE_SIZE_FIX = (

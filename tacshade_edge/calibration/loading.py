@@ -14,15 +14,13 @@ from pathlib import Path
 
 from tacshade_edge.calibration.files import calibration_file, objects_file
 from tacshade_edge.calibration.inputs import Inputs
-from tacshade_edge.camera import sources
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.atomic_files import write_whole
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, content_of
 from tacshade_edge.sensor.inference.network import can_run, load_networks
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.settings import Document, Files, Rpicam, V4l2
-from tacshade_edge.settings.model import RPICAM_MULTIPLE_PX
+from tacshade_edge.settings import Document
 from tacshade_edge.types import Calibration, FittedNetwork
 
 _log = logging.getLogger(__name__)
@@ -174,22 +172,10 @@ def load_calibration(document: Document, *, store: bool = False) -> Calibration:
     except ConfigError as error:
         raise ConfigError(f"{document.where('calibration')}: {error}") from error
     source, expected = settings.source, (calibration.image_width_px, calibration.image_height_px)
-    key = "path"
-    size: tuple[int, int] | None = None
-    if isinstance(source, V4l2 | Rpicam):
-        key = "width_px"
-        if source.width_px is not None and source.height_px is not None:
-            size = source.width_px, source.height_px
-        elif isinstance(source, Rpicam) and expected[0] % RPICAM_MULTIPLE_PX:
-            raise ConfigError(
-                f"{document.where('source', key)}: found null, which takes the calibration's "
-                f"{expected[0]} px, expected a calibration of a multiple of {RPICAM_MULTIPLE_PX} px"
-            )
-    elif isinstance(source, Files):
-        size = sources.first_size(document, source)
-    if size is not None and size != expected:
-        raise ConfigError(
-            f"{document.where('source', key)}: found {size[0]}x{size[1]} px, "
-            f"expected {expected[0]}x{expected[1]} px, the size of the calibration's images"
-        )
+    try:
+        misfit = source.size_misfit(expected)
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('source', source.names)}: {error}") from None
+    if misfit:
+        raise ConfigError(f"{document.where('source', misfit[0])}: {misfit[1]}")
     return calibration

@@ -21,6 +21,7 @@ import time
 
 import numpy as np
 
+from tacshade_edge.camera.csi_camera import PROGRAM
 from tacshade_edge.camera.frame_source import Camera, FrameGaps
 from tacshade_edge.camera.v4l2_node import Control, Lock
 from tacshade_edge.errors import ConfigError, DeviceError
@@ -29,7 +30,6 @@ from tacshade_edge.types import U8, Frame
 
 _log = logging.getLogger(__name__)
 
-PROGRAM = "rpicam-vid"
 _STALL_S = 2.0
 _START_S = 5.0  # a cold board loads libcamera and tunes the sensor
 # Between SIGINT and SIGKILL; libcamera stops the sensor meanwhile.

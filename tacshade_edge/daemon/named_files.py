@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from tacshade_edge.camera.sources import check_source
 from tacshade_edge.mqtt.links import check_broker_files
 from tacshade_edge.robot.ports import check_serial
-from tacshade_edge.settings import Document
+from tacshade_edge.settings import Document, check_source
 
 
 def check_files(document: Document) -> None:

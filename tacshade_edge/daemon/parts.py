@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacshade_edge.camera import sources
 from tacshade_edge.daemon.active_profile import ActiveProfile, Step
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.mqtt.link import MqttLink
@@ -67,7 +66,7 @@ def make_robot(
 
 def make_sessions(settings: Settings, link: MqttLink, robot: Robot | None) -> Sessions | None:
     """The stitching sessions, if frames have poses."""
-    if not sources.frames_have_poses(settings):
+    if settings.serial is None and not settings.source.has_poses():
         return None
     from tacshade_edge.stitching.session_worker import Sessions
 

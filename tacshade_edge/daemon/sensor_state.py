@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tacshade_edge.camera import sources
 from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.fixes import with_fix
 from tacshade_edge.mqtt.link import MqttLink
@@ -99,7 +98,7 @@ class SensorState:
             ):
                 _log.info("source %s%s", camera.state, f": {reason}" if reason else "")
             else:
-                fix = sources.how_to_fix(self._settings, reason.code)
+                fix = self._settings.how_to_fix(reason.code)
                 _log.warning("source %s: %s", camera.state, with_fix(reason, fix))
             self._link.set_retained(
                 "status/camera", messages.encode_status(camera.state, camera.reason, camera.details)

@@ -6,36 +6,6 @@ Other rooms use: `board`, `bundle`, `camera_check`, `diagnose`, `judged_pictures
     `tail`.
 """
 
-from __future__ import annotations
+from tacshade_edge.finding import Finding, Findings, State, fault, ok, warning
 
-from dataclasses import dataclass
-from typing import Literal
-
-State = Literal["ok", "warning", "fault"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One result of a check; with a ``fault`` the daemon cannot work,
-    with a ``warning`` worse than it could.
-    """
-
-    check: str
-    state: State
-    found: str
-    fix: str = ""
-
-
-Findings = tuple[Finding, ...]
-
-
-def ok(check: str, found: str) -> Finding:
-    return Finding(check, "ok", found)
-
-
-def warning(check: str, found: str, fix: str) -> Finding:
-    return Finding(check, "warning", found, fix)
-
-
-def fault(check: str, found: str, fix: str) -> Finding:
-    return Finding(check, "fault", found, fix)
+__all__ = ["Finding", "Findings", "State", "fault", "ok", "warning"]

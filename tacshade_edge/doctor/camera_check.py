@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
-import shutil
-import subprocess
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -14,18 +11,18 @@ from itertools import pairwise
 from pathlib import Path
 
 from tacshade_edge.camera import v4l2_node
+from tacshade_edge.camera.csi_camera import csi_cameras
 from tacshade_edge.camera.frame_source import FrameSource
-from tacshade_edge.camera.rpicam import PROGRAM
 from tacshade_edge.camera.v4l2_node import AUTOMATICS, Lock
 from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Machine, may_use, permission_fix
 from tacshade_edge.errors import DeviceError, TacshadeError
-from tacshade_edge.fixes import OF_FRAMES, RIBBON_CABLE, USB_CABLE
+from tacshade_edge.fixes import OF_FRAMES
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.frame_check import PictureJudge, first_reason
 from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.sensor.image.greyscale import to_grey
-from tacshade_edge.settings import Rpicam, V4l2
+from tacshade_edge.settings import Source, V4l2
 from tacshade_edge.types import U8, Disc
 
 _FOURCCS = ("MJPG", "YUYV", "NV12", "GREY")
@@ -39,6 +36,7 @@ _STOP = (
     "to check the camera itself, stop the daemon (sudo systemctl stop tacshade-edge) and start it "
     "again afterwards"
 )
+_CONNECT = "is the camera connected? sudo dmesg shows what the kernel saw"
 _BUSY_MACHINE = "stop whatever else is keeping this machine busy, or lower source.fps"
 # Best first. This project's udev rules add the names by USB port in /dev/tacshade.
 _NAMES = ("/dev/v4l/by-id", "/dev/tacshade", "/dev/v4l/by-path")
@@ -50,7 +48,6 @@ CSI_FIX = (
     "a Raspberry Pi's own (CSI, ribbon cable) camera is read through rpicam-vid: "
     "set source: {kind: rpicam, camera: 0}"
 )
-_LIST_S = 2.5
 FRAMES = 30
 LIMIT_S = 3.0
 # The last ones, because a camera may still be settling during the first.
@@ -100,21 +97,6 @@ def check_device(source: V4l2, machine: Machine) -> Findings:
     return (*findings, _check_format(source, str(path)))
 
 
-def check_csi(source: Rpicam) -> Findings:
-    if not shutil.which(PROGRAM):
-        return (
-            fault("camera", f"found no program {PROGRAM}", "sudo apt install rpicam-apps-lite"),
-        )
-    cameras = csi_cameras()
-    if name := cameras.get(source.camera):
-        return (ok("camera", f"camera {source.camera} of {PROGRAM}: {name}"),)
-    found = ", ".join(f"{number} ({name})" for number, name in cameras.items()) or "none"
-    fix = f"set source.camera to a listed camera; {RIBBON_CABLE}" if cameras else RIBBON_CABLE
-    return (
-        fault("camera", f"{PROGRAM} does not list camera {source.camera}; it lists {found}", fix),
-    )
-
-
 def _check_format(source: V4l2, node: str) -> Finding:
     """Check that the driver lists the configured format;
     the frames show whether it offers size and rate.
@@ -136,7 +118,7 @@ def _check_format(source: V4l2, node: str) -> Finding:
 
 
 def check_frames(
-    source: V4l2 | Rpicam, captured: Captured, machine: Machine, daemon_state: str
+    source: Source, captured: Captured, machine: Machine, daemon_state: str
 ) -> Findings:
     """Judge what a camera delivered, or why nothing;
     `daemon_state` is what a daemon here publishes, or empty.
@@ -145,7 +127,7 @@ def check_frames(
     if captured.error:
         if busy := _busy(source, captured.error, machine, daemon_state):
             return (busy,)
-        fix = USB_CABLE if isinstance(source, V4l2) else RIBBON_CABLE
+        fix = source.how_to_fix(ReasonCode.LOST) or _CONNECT
         findings.append(
             fault(
                 "camera frames", str(captured.error).partition(": ")[2] or str(captured.error), fix
@@ -153,6 +135,7 @@ def check_frames(
         )
     if not captured.t_ns:
         return tuple(findings)
+    assert source.fps is not None  # a camera's
     fix = (
         "set source.exposure below the frame period, "
         "or choose a smaller size or a rate that the camera offers"
@@ -189,9 +172,7 @@ def check_picture(image: U8) -> Finding:
     )
 
 
-def _busy(
-    source: V4l2 | Rpicam, error: Reason, machine: Machine, daemon_state: str
-) -> Finding | None:
+def _busy(source: Source, error: Reason, machine: Machine, daemon_state: str) -> Finding | None:
     """Return a finding on the program that holds the camera; None if none does."""
     holders, daemon = [], None
     if isinstance(source, V4l2):
@@ -290,21 +271,6 @@ def _choose(machine: Machine) -> str:
 def _labelled(name: str, machine: Machine) -> str:
     card = card_name(name, machine)
     return f"{name} ({card})" if card else name
-
-
-def csi_cameras() -> dict[int, str]:
-    """Return number and name of each CSI camera that ``rpicam-vid --list-cameras`` lists;
-    none without the program.
-    """
-    words = (PROGRAM, "--list-cameras")
-    try:
-        done = subprocess.run(
-            words, capture_output=True, text=True, errors="replace", timeout=_LIST_S, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return {}
-    found = re.findall(r"^(\d+) : (.*?)(?: \(/.*\))?$", done.stdout, re.MULTILINE)
-    return {int(number): name for number, name in found}
 
 
 def card_name(device: str, machine: Machine) -> str:

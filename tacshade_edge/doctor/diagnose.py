@@ -13,14 +13,13 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 
 from tacshade_edge.calibration import loading
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.doctor import Finding, Findings, calibration_check, fault, ok
 from tacshade_edge.doctor.board import check_board, check_clock, check_disk
 from tacshade_edge.doctor.broker_check import check_broker, judge_daemon
 from tacshade_edge.doctor.bundle import Seen
 from tacshade_edge.doctor.camera_check import (
     capture,
-    check_csi,
     check_device,
     check_frames,
     check_other_source,
@@ -31,7 +30,7 @@ from tacshade_edge.doctor.port_checks import check_serial, check_usb
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
 from tacshade_edge.regular_files import open_regular
-from tacshade_edge.settings import Document, Rpicam, Source, V4l2, load, load_all
+from tacshade_edge.settings import Document, Source, V4l2, load, load_all
 
 MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 3.0, 7.0, 3.0
 _STATE_FOLDER = Path("/var/lib/tacshade-edge")
@@ -98,22 +97,21 @@ def _cameras(document: Document | None) -> list[V4l2]:
 def sized_source(document: Document) -> Source:
     """The source of the settings, with the size that the daemon requests of a camera."""
     source = document.settings.source
-    if not isinstance(source, V4l2 | Rpicam) or source.width_px is not None:
-        return source
-    return sources.sized(source, loading.image_size_px(document))
+    # The calibration is read only for a size that the settings do not state.
+    return source if source.sized() is source else source.sized(loading.image_size_px(document))
 
 
 def _check_camera(document: Document, machine: Machine) -> Findings:
     source = document.settings.source
     if isinstance(source, V4l2):
         return check_device(source, machine)
-    return check_csi(source) if isinstance(source, Rpicam) else ()
+    return source.inspect()
 
 
 def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
     source = sized_source(document)
-    captured = seen.captured = capture(sources.make_source(source))
-    if not isinstance(source, V4l2 | Rpicam):
+    captured = seen.captured = capture(make_source(source))
+    if not source.is_camera:
         return check_other_source(captured, source.fps)
     silent = "nothing, it is not on this broker" if machine.daemon() else ""
     return check_frames(
@@ -125,7 +123,7 @@ def _check_calibration(document: Document, seen: Seen) -> Findings:
     known, findings = calibration_check.load(document)
     if known is None or not seen.captured.images:
         return findings
-    is_camera = isinstance(document.settings.source, V4l2 | Rpicam)
+    is_camera = document.settings.source.is_camera
     return (*findings, *calibration_check.check_images(known, seen.captured.images, live=is_camera))
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final
 
 from tacshade_edge.calibration import loading
-from tacshade_edge.camera import sources
 from tacshade_edge.camera.frame_source import FrameSource
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.hand import hand_recordings
 from tacshade_edge.library.arguments import path_of, wrong
@@ -24,7 +24,7 @@ from tacshade_edge.recording.recording_content import CALIBRATION_NAME
 from tacshade_edge.recording.video import DEFAULT_FPS
 from tacshade_edge.sensor.contact.tracking import ContactTracker
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
-from tacshade_edge.settings import Settings, V4l2
+from tacshade_edge.settings import Settings, V4l2, check_source
 from tacshade_edge.settings import load as load_settings
 from tacshade_edge.types import Frame
 from tacshade_edge.wire.hand_topics import HandObjects
@@ -81,14 +81,14 @@ def open(source: str | os.PathLike[str], sensor: Sensor | None = None) -> Result
         )
     rows, cols = sensor.image_size_px
     fps = settings.source.fps or DEFAULT_FPS
-    return _Live(sources.make_source(settings.source, (cols, rows)), sensor, fps)
+    return _Live(make_source(settings.source, (cols, rows)), sensor, fps)
 
 
 def _of_settings(path: Path, sensor: Sensor | None) -> tuple[Settings, Sensor]:
     """Load a settings file, and the sensor that it names if none is given. Raises ConfigError."""
     document = load_settings(path)
     # Before the calibration is loaded, which takes longer.
-    sources.check_source(document)
+    check_source(document)
     settings = document.settings
     # Without a sensor the settings choose the profile, and `auto` is no profile.
     if sensor is None:

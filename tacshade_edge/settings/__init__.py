@@ -6,17 +6,21 @@ Threads: none.
 Other rooms use: `conversion`, `load`, `model`, `strict_yaml`.
 """
 
-from tacshade_edge.settings.load import Document, Hand, load, load_all, load_hand, to_yaml
+from tacshade_edge.camera.sources import Files, Rpicam, Simulated, Source, V4l2
+from tacshade_edge.settings.load import (
+    Document,
+    Hand,
+    check_source,
+    load,
+    load_all,
+    load_hand,
+    to_yaml,
+)
 from tacshade_edge.settings.model import (
-    Files,
     Mqtt,
     Recorder,
-    Rpicam,
     Serial,
     Settings,
-    Simulated,
-    Source,
-    V4l2,
     digest,
     file_schema,
     json_schema,
@@ -34,6 +38,7 @@ __all__ = [
     "Simulated",
     "Source",
     "V4l2",
+    "check_source",
     "digest",
     "file_schema",
     "json_schema",

@@ -106,6 +106,18 @@ def _document(file: YamlFile, *, several: bool) -> Document:
     return Document(file.path, settings, file.found, several)
 
 
+def check_source(document: Document) -> None:
+    """Look at what the source's settings name, without opening it.
+
+    Raises ConfigError with its line.
+    """
+    source = document.settings.source
+    try:
+        source.check()
+    except ConfigError as error:
+        raise ConfigError(f"{document.where('source', source.names)}: {error}") from None
+
+
 def load_hand(path: Path) -> Hand | None:
     """Read the hand that a settings file names, or None if it names none.
 

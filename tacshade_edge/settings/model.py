@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from tacshade_edge.camera.sources import Source, V4l2
 from tacshade_edge.section import PATH, RESTART, Section, marked
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.wire.broker_address import HOST
@@ -38,171 +39,6 @@ def wrong_with(seven: Sequence[float]) -> str | None:
         return f"found a quaternion of length {norm:.4g}, expected length 1"
     return None
 
-
-RPICAM_MULTIPLE_PX = 64
-"""rpicam-vid does not report the length of a line,
-which equals a width that is a multiple of it.
-"""
-
-# The unit of V4L2_CID_EXPOSURE_ABSOLUTE.
-_V4L2_EXPOSURE_US: Final = 100
-
-
-def _size_misfit(width_px: int | None, height_px: int | None) -> tuple[tuple[str, ...], str] | None:
-    """A width without a height, or a height without a width."""
-    if (width_px is None) == (height_px is None):
-        return None
-    missing = "width_px" if width_px is None else "height_px"
-    return (), f"found no {missing}, expected both width_px and height_px, or neither"
-
-
-def _exposure_misfit(
-    name: str, exposure: int | None, unit_us: int, fps: float
-) -> tuple[tuple[str, ...], str] | None:
-    """An exposure that does not fit into the frame period,
-    which slows the camera down without notice.
-    """
-    most = (1_000_000 - 1) // (fps * unit_us)
-    if exposure is None or exposure <= most:
-        return None
-    period = f"a frame takes {1e6 / fps:.0f} µs at {fps} frames/s"
-    return (name,), f"found {exposure}, expected at most {most}, because {period}"
-
-
-class V4l2(
-    Section,
-    frozen=True,
-    forbid_unknown_fields=True,
-    kw_only=True,
-    tag_field="kind",
-    tag="v4l2",
-):
-    """A Linux video device."""
-
-    # No number, as OpenCV takes it: a camera has another one after the next start.
-    device: Annotated[str, Meta(pattern="^/dev/", description="a path under /dev")] = "/dev/video0"
-    width_px: Annotated[int, Meta(ge=16, le=4096, description="image width")] | None = None
-    height_px: Annotated[int, Meta(ge=16, le=4096, description="image height")] | None = None
-    fps: Annotated[
-        int, Meta(ge=1, le=240, description="frames per second to request from the camera")
-    ] = 30
-    fourcc: Annotated[Literal["MJPG", "YUYV", "NV12", "GREY"], Meta(description="pixel format")] = (
-        "MJPG"
-    )
-    exposure: (
-        Annotated[
-            int,
-            Meta(
-                ge=1, le=100_000, description="locked exposure in the driver's unit, 0.1 ms on UVC"
-            ),
-        ]
-        | None
-    ) = None
-
-    def misfit(self) -> tuple[tuple[str, ...], str] | None:
-        return _size_misfit(self.width_px, self.height_px) or _exposure_misfit(
-            "exposure", self.exposure, _V4L2_EXPOSURE_US, self.fps
-        )
-
-
-class Rpicam(
-    Section,
-    frozen=True,
-    forbid_unknown_fields=True,
-    kw_only=True,
-    tag_field="kind",
-    tag="rpicam",
-):
-    """A Raspberry Pi's own (CSI) camera, through the program rpicam-vid."""
-
-    camera: Annotated[
-        int, Meta(ge=0, le=7, description="its number in rpicam-vid --list-cameras")
-    ] = 0
-    width_px: (
-        Annotated[
-            int, Meta(ge=64, le=4096, multiple_of=RPICAM_MULTIPLE_PX, description="image width")
-        ]
-        | None
-    ) = None
-    height_px: (
-        # YUV 4:2:0 has a row of colours for two rows.
-        Annotated[int, Meta(ge=16, le=4096, multiple_of=2, description="image height")] | None
-    ) = None
-    fps: Annotated[
-        int, Meta(ge=1, le=240, description="frames per second to request from the camera")
-    ] = 30
-    exposure_us: Annotated[int, Meta(ge=1, le=1_000_000, description="locked exposure")] = 10_000
-    gain: Annotated[float, Meta(ge=1, le=64, description="locked gain of the image sensor")] = 1.0
-    lens_position: (
-        Annotated[
-            float, Meta(ge=0, le=50, description="locked focus of a lens that moves, dioptres")
-        ]
-        | None
-    ) = None
-    sensor_mode: (
-        Annotated[
-            str,
-            Meta(
-                pattern=r"^[0-9]{2,5}:[0-9]{2,5}$", description="WIDTH:HEIGHT of the sensor's mode"
-            ),
-        ]
-        | None
-    ) = None
-
-    def misfit(self) -> tuple[tuple[str, ...], str] | None:
-        return _size_misfit(self.width_px, self.height_px) or _exposure_misfit(
-            "exposure_us", self.exposure_us, 1, self.fps
-        )
-
-
-class Files(
-    Section,
-    frozen=True,
-    forbid_unknown_fields=True,
-    kw_only=True,
-    tag_field="kind",
-    tag="files",
-):
-    """Images or a video file in place of a camera."""
-
-    path: Annotated[
-        # An empty path would be the folder of the settings file.
-        str,
-        Meta(min_length=1, description="a folder of images, an image or a video file", extra=PATH),
-    ]
-    fps: (
-        Annotated[
-            float,
-            Meta(
-                ge=1, le=240, description="frames per second, instead of the file's own times or 30"
-            ),
-        ]
-        | None
-    ) = None
-    loop: Annotated[bool, Meta(description="begin again after the last image")] = False
-
-
-class Simulated(
-    Section,
-    frozen=True,
-    forbid_unknown_fields=True,
-    kw_only=True,
-    tag_field="kind",
-    tag="simulated",
-):
-    """The simulated sensor, pressed repeatedly or according to a file."""
-
-    fps: Annotated[float, Meta(ge=1, le=240, description="frames per second")] = 30.0
-    pressed: (
-        Annotated[
-            str,
-            Meta(min_length=1, description="a CSV file that says what presses it now", extra=PATH),
-        ]
-        | None
-    ) = None
-
-
-Source = V4l2 | Rpicam | Files | Simulated
 
 SENSORS = "sensors"
 """The key of a file with several sensors (`settings.load`)."""
@@ -312,9 +148,7 @@ class Settings(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Literal["asked", "always"],
         Meta(description="when to compute the skin's shear, twist and slip"),
     ] = "asked"
-    source: Annotated[
-        V4l2 | Rpicam | Files | Simulated, Meta(description="where frames come from", extra=RESTART)
-    ] = V4l2()
+    source: Annotated[Source, Meta(description="where frames come from", extra=RESTART)] = V4l2()
     mqtt: Annotated[Mqtt, Meta(description="the broker", extra=RESTART)] = Mqtt()
     recorder: Annotated[Recorder, Meta(description="recordings")] = Recorder()
     serial: Annotated[Serial, Meta(description="the robot's serial line", extra=RESTART)] | None = (

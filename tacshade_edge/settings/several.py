@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from tacshade_edge.camera.sources import KINDS
 from tacshade_edge.settings.model import HAND, OWN, SENSORS, Settings
 from tacshade_edge.settings.strict_yaml import Key, Located, YamlFile, dotted
 
@@ -128,7 +129,7 @@ def _places(own: dict[str, Any]) -> dict[str, str]:
     """Settings that sensors cannot share: the calibration (with its reference) and the camera."""
     # Compared as typed: that two names mean one camera shows when it is opened.
     found = {"calibration": f"calibration {own['calibration']}"}
-    for name in ("device", "camera"):
+    for name in (kind.names for kind in KINDS if kind.is_camera):
         if isinstance(own["source"], dict) and name in own["source"]:
             found["source"] = f"source {name} {own['source'][name]}"
     return found

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tacshade_edge.camera.sources import DEFAULT_SIZE_PX, best_size, sized
+from tacshade_edge.camera.source_settings import DEFAULT_SIZE_PX
+from tacshade_edge.camera.sources import best_size
 from tacshade_edge.settings import Files, Rpicam, Source, V4l2
 
 
@@ -21,14 +22,14 @@ from tacshade_edge.settings import Files, Rpicam, Source, V4l2
 def test_settings_then_calibration_then_the_default_state_the_size(
     source: Source, calibration_px: tuple[int, int] | None, expected_px: tuple[int, int]
 ) -> None:
-    found = sized(source, calibration_px)
+    found = source.sized(calibration_px)
     assert isinstance(found, V4l2 | Rpicam)
     assert (found.width_px, found.height_px) == expected_px
 
 
 def test_other_sources_have_no_size() -> None:
     source = Files(path="a")
-    assert sized(source, (800, 600)) is source
+    assert source.sized((800, 600)) is source
 
 
 @pytest.mark.parametrize(

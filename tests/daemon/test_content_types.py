@@ -13,7 +13,7 @@ from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import painted_calibration, write_posed_images
 from support.patience import wait_until
 from support.running_app import BASE, Live
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.settings import load
 from tacshade_edge.wire import binary
@@ -62,7 +62,7 @@ def test_every_topic_says_what_its_payload_is(tmp_path: Path) -> None:
             return {message.topic.removeprefix(f"{BASE}/") for message in list(seen.messages)}
 
         live = Live(tmp_path, broker, seen, painted_calibration())
-        running = live.run(sources.make_source(settings.settings.source), settings)
+        running = live.run(make_source(settings.settings.source), settings)
         try:
             wait_until(lambda: heard() >= STREAMS | RETAINED, 30, "streams and retained values")
             assert live.ask("stitch", action="begin")["ok"]

@@ -20,7 +20,6 @@ from tacshade_edge.doctor.camera_check import (
     FRAMES,
     Captured,
     capture,
-    check_csi,
     check_device,
     check_frames,
     check_other_source,
@@ -150,13 +149,13 @@ def test_a_camera_that_is_not_there(machine: Any) -> None:
 @pytest.mark.slow
 def test_csi_cameras(machine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert check_csi(Rpicam())[0].fix == "sudo apt install rpicam-apps-lite"
+    assert Rpicam().inspect()[0].fix == "sudo apt install rpicam-apps-lite"
     monkeypatch.undo()
     rpicam_vid.put_on_path(tmp_path, monkeypatch)
     name = "imx219 [3280x2464 10-bit RGGB]"
     assert name in list_cameras(machine).found
-    assert states(check_csi(Rpicam())) == ["ok"]
-    assert states(check_csi(Rpicam(camera=1))) == ["fault"]
+    assert states(Rpicam().inspect()) == ["ok"]
+    assert states(Rpicam(camera=1).inspect()) == ["fault"]
     held = Captured(
         error=Reason(ReasonCode.IN_USE, "camera 0 of rpicam-vid: failed to acquire camera")
     )

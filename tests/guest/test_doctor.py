@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from support.vivid import NODE, control, plug_webcam
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.camera.v4l2_node import frame_sizes
 from tacshade_edge.doctor import Finding
 from tacshade_edge.doctor.camera_check import (
@@ -49,7 +49,7 @@ def states(findings: tuple[Finding, ...]) -> dict[str, str]:
 
 
 def frames(source: V4l2) -> tuple[Captured, tuple[Finding, ...]]:
-    captured = capture(sources.make_source(source))
+    captured = capture(make_source(source))
     return captured, check_frames(source, captured, MACHINE, "")
 
 

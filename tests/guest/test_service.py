@@ -25,7 +25,7 @@ from support.booted_service import CONFIG, UNIT, fresh, journal, process, sh, sh
 from support.mqtt_rig import Subscriber
 from support.patience import patience, stretched, wait_until
 from support.vivid import NODE, UDEV, control, unload_driver
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.doctor.camera_check import capture, check_frames
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.settings import V4l2
@@ -197,7 +197,7 @@ def doctor_leaves_it_the_camera() -> None:
     assert found is not None
     assert [held.pid for held in machine.holders(str(CAMERA))] == [found.pid] == [pid]
     (finding,) = check_frames(
-        SOURCE, capture(sources.make_source(SOURCE)), machine, "online, 25.0 frames/s"
+        SOURCE, capture(make_source(SOURCE)), machine, "online, 25.0 frames/s"
     )
     assert finding.state == "warning"
     assert finding.found == "the daemon is using the camera and reports: online, 25.0 frames/s"

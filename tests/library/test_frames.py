@@ -133,7 +133,7 @@ def test_the_newest_wins(
         900,
     ]
     source = Buffered(ages, now_ns)
-    monkeypatch.setattr(frames.sources, "make_source", lambda *_: source)
+    monkeypatch.setattr(frames, "make_source", lambda *_: source)
     (tmp_path / "config.yaml").write_text("source: {kind: simulated, fps: 30}\n")
     results = ts.open(tmp_path / "config.yaml", sensor)
     assert [round((now_ns - next(results).t_ns) / 1e6) for _ in range(2)] == [20, 5]

@@ -19,8 +19,8 @@ from tools.ci.house import (
 )
 
 OPEN_THE_LABORATORY = {
-    ("camera/sources.py", "lab.pressed_file.PressedFile"),
-    ("camera/sources.py", "lab.simulated_source.SimulatedSource"),
+    ("camera/simulated_frames.py", "lab.pressed_file.PressedFile"),
+    ("camera/simulated_frames.py", "lab.simulated_source.SimulatedSource"),
 }
 """Sources of the settings, each inside the function that makes it."""
 

@@ -68,12 +68,10 @@ def fit_figures(fit: Fit | None) -> dict[str, float]:
 
 
 def _figures(fit: Fit | ProfileFit) -> dict[str, float]:
-    # Without those at their default, so that a file from before they existed keeps its checksum.
-    return {
-        each.name: float(value)
-        for each in fields(fit)
-        if each.name != "profiles" and (value := getattr(fit, each.name)) != each.default
-    }
+    # Not those at their default: a file from before they existed keeps its checksum.
+    numbers = {each.name: each.default for each in fields(fit) if each.name != "profiles"}
+    found = {name: getattr(fit, name) for name in numbers}
+    return {name: float(value) for name, value in found.items() if value != numbers[name]}
 
 
 def _fit(figures: Any) -> Fit | None:

@@ -21,7 +21,9 @@ from tacshade_edge.calibration.files.press_table import BALL, press_rows, read_p
 from tacshade_edge.calibration.files.sensor_file import check_value, read_sensor
 from tacshade_edge.calibration.inputs import StatedSensor
 from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
-from tacshade_edge.camera import sources, v4l2_node
+from tacshade_edge.camera import v4l2_node
+from tacshade_edge.camera.csi_camera import csi_cameras
+from tacshade_edge.camera.sources import best_size, make_source
 from tacshade_edge.camera.v4l2 import FOURCCS
 from tacshade_edge.camera.v4l2_node import Lock
 from tacshade_edge.capture.capture_session import CaptureSession
@@ -31,14 +33,14 @@ from tacshade_edge.capture.page import Page
 from tacshade_edge.capture.robot_place import PoseAt, RobotLabels, RobotPlaces
 from tacshade_edge.capture.scale import BAUD, Scale, scale_port
 from tacshade_edge.cli.shared.options import NEXT_FIT, add_option, add_sensor
-from tacshade_edge.doctor.camera_check import CSI_FIX, csi_cameras, found_cameras, has_csi_receiver
+from tacshade_edge.doctor.camera_check import CSI_FIX, found_cameras, has_csi_receiver
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.targets import check_folder, one_at_a_time
 from tacshade_edge.quoting import counted
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.ports import check_serial, make_serial_port
-from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, load
+from tacshade_edge.settings import Rpicam, Serial, Source, V4l2, check_source, load
 from tacshade_edge.types import Frame, Pose, Skin
 
 _CALIBRATION = "calibration.npz"
@@ -185,7 +187,7 @@ def _camera(
 ) -> Iterator[Live]:
     """Open the camera and its page; write the daemon's settings if there are none."""
     with (
-        contextlib.closing(sources.make_source(chosen)) as source,
+        contextlib.closing(make_source(chosen)) as source,
         contextlib.closing(Page()) as page,
     ):
         source.open()
@@ -246,9 +248,9 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     path = folder.settings if args.config is None and folder.settings.exists() else args.config
     if path is not None:
         document = load(path, args.sensor)
-        sources.check_source(document)
+        check_source(document)
         check_serial(document)
-        source = sources.sized(document.settings.source)
+        source = document.settings.source.sized()
         if device is not None and not (isinstance(source, V4l2) and source.device == device):
             found = f"found another source in {document.where('source')}"
             raise ConfigError(
@@ -259,7 +261,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
         machine = Machine()
         cameras, csi = found_cameras(machine), list(csi_cameras())
         if not cameras and len(csi) == 1:
-            return sources.sized(Rpicam(camera=csi[0])), None
+            return Rpicam(camera=csi[0]).sized(), None
         # With several, taking the first would sooner or later calibrate the wrong sensor.
         if len(cameras) != 1:
             fix = f"; {CSI_FIX}" if not cameras and has_csi_receiver(machine) else ""
@@ -275,7 +277,7 @@ def _source(args: argparse.Namespace, folder: CaptureFolder) -> tuple[Source, Se
     if not known:
         found = f"found {', '.join(offered) or 'none'}, expected one of {', '.join(FOURCCS)}"
         raise ConfigError(f"--camera {device}: pixel formats: {found}")
-    width_px, height_px = sources.best_size(v4l2_node.frame_sizes(device, known[0]))
+    width_px, height_px = best_size(v4l2_node.frame_sizes(device, known[0]))
     size = {"width_px": width_px, "height_px": height_px}
     camera = {"kind": "v4l2", "device": device, "fourcc": known[0], **size}
     return msgspec.convert(camera, V4l2), None

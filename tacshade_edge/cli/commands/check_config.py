@@ -6,13 +6,13 @@ import argparse
 import json
 
 from tacshade_edge.calibration import loading
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_option
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
 from tacshade_edge.reasons import Reason
 from tacshade_edge.robot.ports import check_serial
-from tacshade_edge.settings import file_schema, load_all, load_hand
+from tacshade_edge.settings import check_source, file_schema, load_all, load_hand
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
     # load_all ends at the file's first mistake; these look at what it names, each for itself.
     checks = (
-        sources.check_source,
+        check_source,
         check_serial,
         links.check_link,
         loading.find_calibration,
@@ -59,6 +59,6 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(mistakes[0], others=mistakes[1:])
     for document in documents:
         # As `run` makes it, but not opened: a file may be checked where its camera is not.
-        sources.make_source(document.settings.source)
+        make_source(document.settings.source)
     print(f"{args.file}: ok", *warnings, sep="\n")
     return 0

@@ -9,7 +9,7 @@ import signal
 from typing import TYPE_CHECKING
 
 from tacshade_edge.calibration import loading
-from tacshade_edge.camera import sources
+from tacshade_edge.camera.sources import make_source
 from tacshade_edge.cli import EXIT_OK
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_config
@@ -69,7 +69,7 @@ def _run_sensor(
     check_files(document)
     # A calibration of an older version is made anew and stored, so that it takes this time once.
     calibration = loading.find_calibration(document, store=True)
-    source = sources.make_source(document.settings.source, loading.size_px(calibration))
+    source = make_source(document.settings.source, loading.size_px(calibration))
     app = App(document, source, calibration, hand_line, robot_line)
     stopped: list[int] = []
 

@@ -15,8 +15,7 @@ from support.progress_lines import only_progress
 from tacshade_edge.cli import main
 from tacshade_edge.cli.commands import simulate
 from tacshade_edge.lab.simulator.tacshade import OBJECT_SCALE
-from tacshade_edge.settings import load
-from tacshade_edge.settings.model import Simulated
+from tacshade_edge.settings import Simulated, load
 
 pytestmark = pytest.mark.slow
 
