@@ -47,6 +47,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
+from tacshade_edge.doctor.tail import Tail, measure_tail
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.mqtt import links
@@ -61,6 +62,8 @@ from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
 
 RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
 OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
+LEAST_CPU = 0.001
+"""Share of a core below which the kernel's ticks show nothing."""
 SETTLE_S = 4.0  # start, first frames
 KEPT = ("max_queued_messages 1000",)
 """The broker may lose nothing: every published map is counted."""
@@ -295,10 +298,24 @@ def beside_null(results: dict[str, dict[str, Any]]) -> str:
     contact, null, free = results["contact"], results["contact, null"], results["free"]
     p50, p99 = (contact[key] - null[key] for key in ("p50_ms", "p99_ms"))
     later_s = contact["first_map_s"] - null["first_map_s"]
-    times, free_times = contact["cpu"] / null["cpu"], free["cpu"] / results["free, null"]["cpu"]
+    times = contact["cpu"] / max(null["cpu"], LEAST_CPU)
+    free_null = max(results["free, null"]["cpu"], LEAST_CPU)
+    free_times = free["cpu"] / free_null
     return (
         f"beside the null daemon: p50 {p50:+.1f} ms, p99 {p99:+.1f} ms, first map {later_s:+.2f} "
         f"s, CPU {times:.1f} times, without contact {free_times:.1f} times"
+    )
+
+
+def beside_control(contact: dict[str, Any], tail: Tail) -> str:
+    """The tail of plain work that lasts as long as a frame in contact, and how much longer the
+    daemon's is: what the control has too is the machine's.
+    """
+    return (
+        f"control, plain products of {tail.processor_p50_ms:.1f} ms: p50 {tail.p50_ms:.1f} ms, "
+        f"p99 {tail.p99_ms:.1f} ms, max {tail.worst_ms:.1f} ms; the daemon's p99 is "
+        f"{contact['p99_ms'] / tail.p99_ms:.1f}, its max {contact['max_ms'] / tail.worst_ms:.1f} "
+        "times the control's"
     )
 
 
@@ -340,6 +357,9 @@ def main() -> int:
     print(table(results))
     if not args.record:
         print(beside_null(results))
+        contact = results["contact"]
+        frame_ms = 1e3 * max(contact["cpu"], LEAST_CPU) / args.fps
+        print(beside_control(contact, measure_tail(frame_ms, args.fps, args.seconds)))
     for row in [row for row in results if row == "free" or row == "contact"]:
         stages = results[row]["health"]["stages_ms"]
         print(

@@ -18,6 +18,7 @@ from tacshade_edge.cli.shared.options import POSITIVE, add_option, need, number,
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
+from tacshade_edge.doctor.tail import measure_tail
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.parallel import usable_cores, workers
 from tacshade_edge.lab.simulator.press import PAPER_OBJECTS, Press
@@ -40,7 +41,7 @@ from tacshade_edge.lab.studies.tradeoff.judging import (
     settings,
     simulated,
 )
-from tacshade_edge.lab.studies.tradeoff.measure import measure
+from tacshade_edge.lab.studies.tradeoff.measure import Offer, measure
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.image.preprocess import halved_calibration
 from tacshade_edge.sensor.profiles import PROFILES
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 SENSORS = "default,5"
 BUSY = 1.1
 """Ratio of wall time to processor time above which other programs kept the machine busy."""
+USUAL_HZ, TAIL_S = 30.0, 5.0
+"""The rhythm of the machine's own tail where no rate is asked, and how long it is measured."""
 WIDEST_PX = 400
 """Greatest width of the image in which a print is sought."""
 
@@ -123,16 +126,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if drawn:
         study.write(args.out / "tradeoff.png", tradeoff_report.draw(rows, args.budget_ms))
-    holds = True
-    if (args.budget_ms, args.fps, args.fingers) != (None, None, None):
-        wish = tradeoff_report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
-        holds, text = tradeoff_report.choose(
-            [row for row in rows if row.outputs == asked[-1]], wish
-        )
-        if holds:
-            print(f"\n{text}", file=sys.stderr if args.json else sys.stdout)
-        else:
-            warn(text)
+    holds = _recommend(args, [row for row in rows if row.outputs == asked[-1]])
     return 0 if holds and not mistakes else 1
 
 
@@ -148,6 +142,22 @@ def _outputs_of(args: argparse.Namespace, profiles: Sequence[str]) -> tuple[str,
     if missing := [name for name in args.outputs or () if name not in found]:
         args.parser.error(f"--outputs: these profiles have no {missing[0]} with this calibration")
     return tuple(name for name in OUTPUTS if name in found)
+
+
+def _recommend(args: argparse.Namespace, rows: Sequence[Offer]) -> bool:
+    """Print the settings that hold what is asked, with the machine's own tail; whether some do."""
+    if (args.budget_ms, args.fps, args.fingers) == (None, None, None):
+        return True
+    wish = tradeoff_report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
+    offer, text = tradeoff_report.choose(rows, wish)
+    if offer is None:
+        warn(text)
+        return False
+    # Promises are of processor time: the machine's own tail comes on top.
+    tail = measure_tail(offer.times.p50_ms, wish.fps or USUAL_HZ, TAIL_S)
+    line = tradeoff_report.tail_line(offer, tail)
+    print(f"\n{text}\n{line}", file=sys.stderr if args.json else sys.stdout)
+    return True
 
 
 def _simulated(

@@ -54,13 +54,16 @@ def test_own_images_the_files_and_the_settings(
     own: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tradeoff, "BUSY", 1e9)  # this machine may be
+    monkeypatch.setattr(tradeoff, "TAIL_S", 0.3)
     words = of_own(
         own, "--profile", "fast", "--out", str(own / "out"), "--plot", "--budget-ms", "10000"
     )
     assert main(words) == 0
     printed = capsys.readouterr()
     assert only_progress(printed.err)
-    assert printed.out.splitlines()[-1].startswith(("profile: fast", "# calibrate again"))
+    *_, settings, tail = printed.out.splitlines()
+    assert settings.startswith(("profile: fast", "# calibrate again"))
+    assert tail.startswith("# on this machine, now: plain work of ")
     written = ["tradeoff.csv", "tradeoff.json", "tradeoff.md", "tradeoff.png"]
     assert sorted(p.name for p in (own / "out").iterdir()) == written
     assert (own / "out" / "tradeoff.md").read_text() in printed.out

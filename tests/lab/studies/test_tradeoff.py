@@ -20,6 +20,7 @@ from support.calibrated_sensor import HALF, calibrated, pressed, reconstructor, 
 from support.painted_sensor import painted_calibration
 from support.trade_points import row
 from tacshade_edge.cli import main
+from tacshade_edge.doctor.tail import Tail
 from tacshade_edge.lab.parallel import ThisProcess
 from tacshade_edge.lab.studies.evaluate.score import KnownTruth
 from tacshade_edge.lab.studies.tradeoff import judging, measure, timing, tradeoff_report
@@ -31,7 +32,7 @@ from tacshade_edge.lab.studies.tradeoff.judging import (
     settings,
 )
 from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer
-from tacshade_edge.lab.studies.tradeoff.tradeoff_report import Wish, choose
+from tacshade_edge.lab.studies.tradeoff.tradeoff_report import Wish, choose, tail_line
 from tacshade_edge.sensor.image.white import halved
 from tacshade_edge.types import Frame
 
@@ -151,8 +152,8 @@ ROWS = [
 
 
 def block(rows: Sequence[Offer], wish: Wish) -> str:
-    holds, text = choose(rows, wish)
-    assert holds
+    offer, text = choose(rows, wish)
+    assert offer
     return text
 
 
@@ -192,13 +193,29 @@ def test_what_is_given_up_and_what_holds_nothing() -> None:
     assert "# source of each sensor: width_px: 320, height_px: 240, fps: 300" in block(
         ROWS, Wish(None, 300, 4, 4)
     )
-    holds, text = choose(ROWS, Wish(0.5, 60, 4, 2))
-    assert not holds
+    offer, text = choose(ROWS, Wish(0.5, 60, 4, 2))
+    assert offer is None
     assert text.startswith(
         "nothing holds height, shear for 4 fingers on 2 cores, 60 frames/s, 0.5 ms (p99)"
     )
     assert "the fastest is fast at 320x240" in text
     assert not choose([row("fast", math.nan, math.nan)], Wish(None, None, 1, 1))[0]
+
+
+def test_a_promise_is_made_with_the_machines_own_tail() -> None:
+    offer, _ = choose(ROWS, Wish(None, None, 1, 4))
+    assert offer
+    tail = Tail(
+        pieces=300,
+        p50_ms=3.1,
+        p99_ms=9.0,
+        worst_ms=20.0,
+        processor_p50_ms=3.0,
+        processor_p99_ms=3.1,
+    )
+    line = tail_line(offer, tail)
+    assert "plain work of 3.0 ms ends within 9.0 ms in 99 % (3.0 times)" in line
+    assert line.endswith(f"expect {3 * offer.times.p99_ms:.1f} ms")
 
 
 def test_fitted_networks_run_where_there_are_some() -> None:

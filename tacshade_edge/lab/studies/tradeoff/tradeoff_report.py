@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tacshade_edge.doctor.tail import Tail
 from tacshade_edge.lab.parallel import usable_cores
 from tacshade_edge.lab.studies import markdown
 from tacshade_edge.lab.studies.evaluate.accuracy import versions
@@ -143,11 +144,11 @@ class Wish:
         )
 
 
-def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
-    """The most accurate of rows of the same outputs that holds:
+def choose(rows: Sequence[Offer], wish: Wish) -> tuple[Offer | None, str]:
+    """The most accurate of rows of the same outputs that holds, and it
     as YAML for a settings file, with what is given up.
 
-    False and one line, if none holds. Networks run fitted where they are fitted:
+    None and one line, if none holds. Networks run fitted where they are fitted:
     a user cannot choose.
     """
     fitted = {row.setting.profile for row in rows if row.setting.fitted}
@@ -158,7 +159,7 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
         if math.isfinite(r.times.p99_ms) and r.setting.fitted == (r.setting.profile in fitted)
     ]
     if not usual:
-        return False, "nothing holds: no setting found a contact"
+        return None, "nothing holds: no setting found a contact"
     # Unknown errors go last, in order of time.
     errors = np.nan_to_num(relative_errors(usual), nan=np.inf) * [
         HALF_WORSE if r.setting.half else 1 for r in usual
@@ -171,7 +172,7 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
     found = next((row for row in ranked if wish.held_by(row)), None)
     if found is None:
         fastest = min(usual, key=lambda row: row.times.p99_ms)
-        return False, f"nothing holds {what}; the fastest is {_said(fastest, wish)}"
+        return None, f"nothing holds {what}; the fastest is {_said(fastest, wish)}"
     lines = [f"# {what}:", f"# {_said(found, wish)}"]
     given_up = (
         "nothing, no other is more accurate" if found is ranked[0] else _said(ranked[0], wish)
@@ -192,7 +193,16 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[bool, str]:
         )
     if size:
         lines.append("# calibrate again at this image size")
-    return True, "\n".join(lines)
+    return found, "\n".join(lines)
+
+
+def tail_line(offer: Offer, tail: Tail) -> str:
+    """What the machine makes of plain work that lasts as long as the offer's frames."""
+    return (
+        f"# on this machine, now: plain work of {tail.processor_p50_ms:.1f} ms ends within "
+        f"{tail.p99_ms:.1f} ms in 99 % ({tail.ratio:.1f} times); a frame waits as long, so expect "
+        f"{tail.ratio * offer.times.p99_ms:.1f} ms"
+    )
 
 
 def _said(row: Offer, wish: Wish) -> str:
