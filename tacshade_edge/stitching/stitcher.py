@@ -105,6 +105,7 @@ class SurfaceMap:
         self._bounded = bounded
         self.step_mm = step_mm
         self._tiles: dict[_Tile, F64] = {}  # (weight, weight · z) of TILE x TILE nodes
+        self._box: tuple[_Tile, _Tile] | None = None  # the least and greatest row and column
 
     def add(self, points_mm: F64, weight: F32 | F64) -> None:
         """Fuse points (N, 3) in the base frame with their weights (N,)."""
@@ -133,23 +134,29 @@ class SurfaceMap:
         sums = sums.reshape(shape)
         overlaps = [each for each in window.overlaps() if sums[0][each[2]].any()]
         # Before anything is added: a press that is refused leaves the map as it was.
-        if self._bounded and overlaps:
-            self._require_bounds({tile for tile, _, _ in overlaps} | self._tiles.keys())
+        if new := [tile for tile, _, _ in overlaps if tile not in self._tiles]:
+            self._box = self._box_with(new)
         for tile, in_tile, in_window in overlaps:
             mine = self._tiles.setdefault(tile, np.zeros((2, TILE, TILE)))
             mine[:, *in_tile] += sums[:, *in_window]
 
-    def _require_bounds(self, tiles: set[_Tile]) -> None:
-        if len(tiles) > TILES_MAX:
+    def _box_with(self, new: Sequence[_Tile]) -> tuple[_Tile, _Tile]:
+        """The box of the tiles with new ones. ValueError if a bounded map would become too large.
+
+        From the box so far: looking at all tiles for each press would grow with their square.
+        """
+        if self._bounded and len(self._tiles) + len(new) > TILES_MAX:
             raise ValueError(
                 f"the map would exceed {TILES_MAX} tiles of {TILE * self.step_mm:g} mm"
             )
-        high, wide = (1 + max(places) - min(places) for places in zip(*tiles, strict=True))
-        if high * wide > EXTENT_MAX_TILES:
+        rows, cols = zip(*new, *(self._box or ()), strict=True)
+        low, high = (min(rows), min(cols)), (max(rows), max(cols))
+        if self._bounded and (1 + high[0] - low[0]) * (1 + high[1] - low[1]) > EXTENT_MAX_TILES:
             raise ValueError(
                 f"the map would spread over more than {EXTENT_MAX_TILES} tiles of "
                 f"{TILE * self.step_mm:g} mm: a pose is far from the others"
             )
+        return low, high
 
     @property
     def tiles(self) -> int:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,8 +17,8 @@ from tacshade_edge.stitching.press_points import (
     height_weight,
     press_points,
 )
-from tacshade_edge.stitching.stitcher import SurfaceMap
-from tacshade_edge.types import HeightMap
+from tacshade_edge.stitching.stitcher import TILE, SurfaceMap
+from tacshade_edge.types import F64, HeightMap
 
 STEP_MM = stitcher.STEP_MM
 
@@ -198,3 +200,21 @@ def test_steep_places_say_little_of_height() -> None:
     assert tilted[middle] < 0.1 * upright[middle]
     over = height_weight(touch, turn((np.pi, 0, 0)))  # looking down
     np.testing.assert_allclose(over, upright, atol=1e-6)
+
+
+def test_a_press_takes_no_more_on_a_large_map() -> None:
+    taken = []
+    for tiles in (1, 900):
+        surface = SurfaceMap()
+        for k in range(tiles):
+            surface.add(at_tile(*divmod(k, 30)), np.ones(1))
+        tracemalloc.start()
+        surface.add(at_tile(30, 0), np.ones(1))
+        taken.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert surface.tiles == tiles + 1
+    assert taken[1] < taken[0] + 4096
+
+
+def at_tile(row: int, col: int) -> F64:
+    return np.array([((col + 0.5) * TILE * STEP_MM, (row + 0.5) * TILE * STEP_MM, 0.0)])

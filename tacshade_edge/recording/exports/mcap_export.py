@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +43,7 @@ def mcap_export(
     """Frames and results; the recording's other files (`content`) become attachments,
     and the events also log lines.
     """
-    events = list(events_in(dict(content)))
+    events = deque(events_in(dict(content)))
     wall_minus_t_ns: int | None = None
     with new_path(path) as partial, partial.open("wb") as stream:
         writer = McapWriter(stream, sensor_id)
@@ -57,7 +58,7 @@ def mcap_export(
         # Between the frames, because many readers take the file's order for that of time.
         def log(until_ns: float) -> None:
             while events and events[0].t_ns <= until_ns:
-                event = events.pop(0)
+                event = events.popleft()
                 wall_ns = max(0, event.t_ns + (wall_minus_t_ns or 0))
                 text = f"{event.kind}: {json.dumps(event.data)}" if event.data else event.kind
                 writer.write("log", log_message("recorder", text, wall_ns), wall_ns)
