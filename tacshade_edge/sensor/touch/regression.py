@@ -24,6 +24,8 @@ FUNCTIONS = 128
 WIDTHS = (0.7, 1.0, 1.4, 2.0, 3.0)
 """Kernel widths to try, relative to the root mean square of a frame's coordinates."""
 RIDGES = np.logspace(-3, 3, 25)
+HELD_NUMBERS = 1_000_000
+"""Numbers of a group's matrices at a time, 8 MB each, unless those of one ridge are more."""
 Z_90 = 1.645
 """Half width of the 90 % interval of a Gaussian error, in its deviations."""
 
@@ -186,11 +188,16 @@ def held_out(
     starts = np.flatnonzero(np.diff(groups[order], prepend=groups[order[0]] - 1))
     held, variances = (each / np.maximum(1 - own, 1e-6) for each in (residuals, own))
     for rows in np.split(order, starts[1:]):
-        if len(rows) > 1:
-            hat = (values[rows] * inverse.T[:, None]) @ values[rows].T + 1 / len(values)
+        if len(rows) == 1:
+            continue
+        # As many ridges at a time as memory allows: a group may be a press of a thousand frames.
+        some = max(1, HELD_NUMBERS // (len(rows) * max(len(rows), values.shape[1])))
+        for first in range(0, inverse.shape[1], some):
+            part = slice(first, first + some)
+            hat = (values[rows] * inverse.T[part, None]) @ values[rows].T + 1 / len(values)
             # (I - H_gg)⁻¹. A little more than I: a group that decides its own fit leaves nothing to
             # invert.
             without = np.linalg.inv(np.eye(len(rows)) * (1 + 1e-6) - hat)
-            held[rows] = np.einsum("rij,jr->ir", without, residuals[rows])
-            variances[rows] = np.maximum(np.einsum("rij,rji->ir", hat, without), 0)
+            held[rows, part] = np.einsum("rij,jr->ir", without, residuals[rows, part])
+            variances[rows, part] = np.maximum(np.einsum("rij,rji->ir", hat, without), 0)
     return held, variances

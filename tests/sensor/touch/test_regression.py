@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
+from tacshade_edge.sensor.touch import regression
 from tacshade_edge.sensor.touch.regression import held_out
 
 
@@ -30,3 +33,17 @@ def test_a_held_out_group_is_predicted_as_by_a_fit_without_it(per_group: int) ->
             np.testing.assert_allclose(residuals[held, k], labels[held] - predicted, rtol=1e-4)
             variance = np.einsum("ij,jk,ik->i", ones[held], cov, ones[held])
             np.testing.assert_allclose(variances[held, k], variance, rtol=1e-4)
+
+
+def test_many_ridges_take_no_more_memory_for_a_long_press(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regression, "HELD_NUMBERS", 100)
+    random, rows = np.random.default_rng(2), 50
+    values, left = random.normal(size=(2 * rows, 5)), random.normal(size=2 * rows)
+    taken = []
+    for ridges in (1, 25):
+        inverse = 1 / (100 + np.tile(np.arange(ridges), (5, 1)))
+        tracemalloc.start()
+        held_out(values, values**2, inverse, left, values.T @ left, np.arange(2 * rows) // rows)
+        taken.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert taken[1] < 3 * taken[0]
