@@ -83,6 +83,12 @@ class Broker:
             lines += ["allow_anonymous false", f"password_file {passwords}"]
         self._config.write_text("\n".join(lines) + "\n")
 
+    @property
+    def pid(self) -> int:
+        """The id of the running process."""
+        assert self._process is not None
+        return self._process.pid
+
     def start(self) -> None:
         assert MOSQUITTO is not None
         self._process = subprocess.Popen(

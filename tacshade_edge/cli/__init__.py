@@ -72,7 +72,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "tradeoff": (
         "tradeoff",
-        "measure speed and accuracy of profiles on this machine, and choose one for a time budget",
+        "measure speed and accuracy of profiles here, and choose one for a budget",
     ),
     "stitch": (
         "stitch",

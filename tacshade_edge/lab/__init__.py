@@ -1,7 +1,7 @@
 """What simulates, fits, measures and demonstrates: nothing that a running sensor needs.
 
 In: models, calibrations, frames. Out: simulated frames, fitted networks, tables.
-Threads: `follow-parent` in each worker of `parallel`.
+Threads: `follow-parent` in each worker of `parallel`; paho's where a trial listens.
 Other rooms use: `demo.child`, `demo.demo_hand`, `demo.touchpad`, `fitting.explained`,
     `fitting.fit`, `fitting.identify`, `fitting.lattice`, `fitting.prints`, `parallel`,
     `pressed_file`, `simulated_source`, `simulator.pad`, `simulator.press`, `simulator.render`,
@@ -9,5 +9,5 @@ Other rooms use: `demo.child`, `demo.demo_hand`, `demo.touchpad`, `fitting.expla
     `studies.evaluate.accuracy`, `studies.evaluate.labelled`, `studies.evaluate.score`,
     `studies.evaluate.work`, `studies.markdown`, `studies.stitch.map_presses`,
     `studies.stitch.map_truth`, `studies.tradeoff.judging`, `studies.tradeoff.measure`,
-    `studies.tradeoff.tradeoff_report`.
+    `studies.tradeoff.tradeoff_report`, `trial.trial`.
 """

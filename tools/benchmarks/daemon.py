@@ -5,10 +5,11 @@
     .venv/bin/python -m tools.benchmarks.daemon [--fps 60] [--seconds 20]
         [--runs 1] [--profile NAME] [--record]
 
-Four processes: mosquitto on a loopback port, the daemon (`ring_daemon.py`) or the null daemon
-(`null_daemon.py`), a subscriber that decodes, and this one, which reads the daemon's figures from
-/proc. The frames are a ring of pre-drawn 640x480 grey images in memory (not counted in the memory
-figures); the null daemon publishes the results of the same images. In the rows
+Four processes: mosquitto on a loopback port, the daemon (`lab.trial.ring_daemon`) or the null
+daemon (`null_daemon.py`), a subscriber that decodes (`lab.trial.hearing`), and this one, which
+reads the daemon's figures from /proc. The frames are a ring of pre-drawn 640x480 grey images in
+memory (not counted in the memory figures); the null daemon publishes the results of the same
+images. In the rows
 
 - ``contact`` a ball goes in and out, pressed from the first frame on,
   and the subscriber takes every topic;
@@ -28,7 +29,6 @@ frame costs.
 from __future__ import annotations
 
 import argparse
-import json
 import pickle
 import shutil
 import signal
@@ -42,25 +42,25 @@ from typing import Any
 
 import cv2
 import numpy as np
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
 
 from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.doctor.tail import Tail, measure_tail
 from tacshade_edge.lab.demo.demo_hand import make_calibration
 from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.lab.trial.hearing import Heard, HearingProcess, Listening
 from tacshade_edge.mqtt import links
 from tacshade_edge.mqtt.caller import MqttCaller
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.recording.recorder import PNG_OPTIONS
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
 from tacshade_edge.settings import load
 from tacshade_edge.types import Frame
 from tacshade_edge.wire import binary
-from tools.testbed.daemon_rig import BASE, cpu_s, draw_rings, memory_mb
+from tools.testbed.daemon_rig import cpu_s, draw_rings, memory_mb
 
-RING_DAEMON, NULL_DAEMON = "tools.testbed.ring_daemon", "tools.benchmarks.null_daemon"
+RING_DAEMON, NULL_DAEMON = "tacshade_edge.lab.trial.ring_daemon", "tools.benchmarks.null_daemon"
 OUTCOMES = ("published", "superseded", "without_contact", "unasked", "invalid", "failed")
 LEAST_CPU = 0.001
 """Share of a core below which the kernel's ticks show nothing."""
@@ -78,50 +78,19 @@ PRE_ROLL, RECORDING = "pre-roll", "recording"
 RECORD_ROWS = dict.fromkeys(("contact", PRE_ROLL, RECORDING), ROWS["contact"])
 
 
-def subscriber(port: int, warm_up: int, topics: str) -> None:
-    """Decode every height map; print latencies in ms
-    and the last ``health`` once the daemon has stopped.
-    """
-    arrived_ns: list[int] = []
-    latencies: list[float] = []
-    seqs: set[int] = set()
-    health: dict[str, Any] = {}
-    done = threading.Event()
-
-    def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
-        if message.retain:  # from the previous run
-            return
-        if message.topic == f"{BASE}/height":
-            decoded = binary.decode(message.payload)
-            arrived_ns.append(time.monotonic_ns())
-            latencies.append((arrived_ns[-1] - decoded.t_ns) / 1e6)
-            seqs.add(decoded.seq)
-        elif message.topic == f"{BASE}/health":
-            health.update(json.loads(message.payload))
-        elif message.topic == f"{BASE}/state" and message.payload == b"stopped":
-            done.set()
-
-    client = Client(CallbackAPIVersion.VERSION2)
-    client.on_message = on_message
-    client.on_subscribe = lambda *_: print("ready", flush=True)
-    client.connect("127.0.0.1", port)
-    client.subscribe(
-        [(f"{BASE}/{topic}", 1) for topic in ("state", "health", *[topics] * bool(topics))]
-    )
-    client.loop_start()
-    done.wait()
-    client.disconnect()
-    client.loop_stop()
-    heard: dict[str, Any] = {"received": len(latencies), "distinct": len(seqs), "health": health}
-    steady = sorted(latencies[warm_up:])
-    if steady:
-        heard["first_ns"] = arrived_ns[0]
-        heard |= {
-            name: steady[int(len(steady) * part)]
-            for name, part in (("p50_ms", 0.5), ("p99_ms", 0.99))
-        }
-        heard["max_ms"] = steady[-1]
-    print(json.dumps(heard))
+def heard_of(heard: Heard) -> dict[str, Any]:
+    """The figures of what the subscriber heard."""
+    messages = heard.messages["bench"]
+    found: dict[str, Any] = {
+        "received": len(messages),
+        "distinct": len({seq for _, seq, _, _ in messages}),
+        "health": heard.health["bench"][-1][1],
+    }
+    if heard.ages_ms():
+        found["first_ns"] = messages[0][3]
+        parts = (("p50_ms", 0.5), ("p99_ms", 0.99), ("max_ms", 1.0))
+        found |= {name: heard.percentile_ms(part) for name, part in parts}
+    return found
 
 
 def measure(
@@ -129,23 +98,14 @@ def measure(
 ) -> dict[str, Any]:
     """One run of one daemon."""
     program, ring, topics = row
-    listen = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "tools.benchmarks.daemon",
-            "--role",
-            topics,
-            "--port",
-            str(port),
-            "--fps",
-            str(args.fps),
-        ],
-        stdout=subprocess.PIPE,
-        text=True,
+    listener = HearingProcess(
+        Listening(
+            broker=broker_at("127.0.0.1", port),
+            sensors=["bench"],
+            decoded=["height"] * bool(topics),
+            received=[topics] * bool(topics),
+        )
     )
-    assert listen.stdout is not None
-    assert listen.stdout.readline() == "ready\n"
     config, shown = (
         folder / ("pre_roll.yaml" if name == PRE_ROLL else "config.yaml"),
         folder / (f"{ring}.npy" if program == RING_DAEMON else f"{ring}.pickle"),
@@ -163,10 +123,10 @@ def measure(
         memory = memory_mb(worker.pid)
         worker.send_signal(signal.SIGTERM)
         code = worker.wait(20)
-        heard: dict[str, Any] = json.loads(listen.communicate(timeout=20)[0])
+        heard = heard_of(listener.heard())
     finally:
         worker.kill()
-        listen.kill()
+        listener.stop()
     frames = heard["health"]["frames"]
     accounted = code == 0 and frames["pending"] == 0
     accounted = accounted and frames["captured"] == sum(
@@ -331,12 +291,7 @@ def main() -> int:
     parser.add_argument(
         "--record", action="store_true", help="the daemon without and with a recording"
     )
-    for hidden, kind in (("--role", str), ("--port", int)):  # for the subscriber
-        parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.role is not None:
-        subscriber(args.port, warm_up=round(2 * args.fps), topics=args.role)
-        return 0
     if args.seconds < SETTLE_S + 1:
         parser.error(f"--seconds: expected {SETTLE_S + 1:.0f} or more")
     with tempfile.TemporaryDirectory() as name:

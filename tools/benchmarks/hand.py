@@ -25,7 +25,6 @@ than the decode of the finger's own height map of the same frame.
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import subprocess
 import sys
@@ -36,17 +35,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
-
 from support.mqtt_rig import Broker
 from tacshade_edge.lab.studies.markdown import markdown
+from tacshade_edge.lab.trial.hearing import Heard, HearingProcess, Listening
+from tacshade_edge.mqtt.client import broker_at
 from tacshade_edge.sensor.profiles import DEFAULT, PROFILES
-from tacshade_edge.wire import binary
-from tacshade_edge.wire.hand_topics import HandObjects
-from tacshade_edge.wire.topics import decode_contact, decode_hand
 from tools.benchmarks.daemon import KEPT, NULL_DAEMON, RING_DAEMON, SETTLE_S, prepare
-from tools.testbed.daemon_rig import cpu_s, pss_mb
+from tools.testbed.daemon_rig import cpu_s, family, pss_mb
 
 PRESSED = 2
 TOPICS = ("height", "cloud", "contact")
@@ -54,84 +49,25 @@ HAND_ID = "bench"
 ROWS = ("hand", "objects", "apart", "null")
 
 
-def subscriber(port: int, names: list[str], topics: list[str]) -> None:
-    """Decode each message of the first topic; print latencies in ms
-    and the last counts once all have stopped.
-    """
-    latencies: dict[str, list[float]] = {name: [] for name in names}
-    health: dict[str, Any] = {}
-    own_ns: dict[tuple[str, int | None], int] = {}
-    messages: list[tuple[int, HandObjects]] = []
-    left, done = set(names), threading.Event()
-
-    def on_message(_client: Client, _data: None, message: MQTTMessage) -> None:
-        name, topic = message.topic.split("/")[-2:]
-        if message.retain:
-            return
-        if topic == "objects":
-            hand = decode_hand(bytes(message.payload))
-            messages.append((time.monotonic_ns(), hand))
-        elif topic == topics[0]:
-            frame = (
-                decode_contact(bytes(message.payload))
-                if topic == "contact"
-                else binary.decode(message.payload)
-            )
-            own_ns[name, frame.seq] = now_ns = time.monotonic_ns()
-            latencies[name].append((now_ns - frame.t_ns) / 1e6)
-        elif topic == "health":
-            known = json.loads(message.payload)
-            health[name] = known["frames"] | {"lost": known.get("source_dropped", 0)}
-        elif topic == "state" and message.payload in (b"stopped", b"offline"):
-            left.discard(name)
-            if not left:
-                done.set()
-
-    client = Client(CallbackAPIVersion.VERSION2)
-    client.on_message = on_message
-    client.on_subscribe = lambda *_: print("ready", flush=True)
-    client.connect("127.0.0.1", port)
-    wanted = [f"{name}/{topic}" for name in names for topic in (*topics, "health", "state")]
-    client.subscribe([(f"tacshade/{topic}", 1) for topic in (*wanted, f"hand/{HAND_ID}/objects")])
-    client.loop_start()
-    done.wait()
-    client.disconnect()
-    client.loop_stop()
-    ages_ms, later_ms = ages(messages, own_ns)
-    rate = 1e9 * len(own_ns) / max(max(own_ns.values()) - min(own_ns.values()), 1) / len(names)
-    figures = {"objects_ms": ages_ms, "later_ms": later_ms, "messages": len(messages), "rate": rate}
-    print(json.dumps({"latencies": latencies, "health": health, **figures}))
-
-
-def ages(
-    messages: list[tuple[int, HandObjects]], own_ns: dict[tuple[str, int | None], int]
-) -> tuple[list[float], list[float]]:
+def ages(heard: Heard) -> tuple[list[float], list[float]]:
     """Age in ms of the newest frame in each of the hand's messages,
     unless an earlier message already had it.
 
-    `messages` have their decode time (CLOCK_MONOTONIC ns), `own_ns` that of the finger's own height
-    map by finger and frame. The second list is the time since that, where there is one.
+    The second list is the time since the decode of the finger's own message of the same frame,
+    where there is one.
     """
+    own_ns = {
+        (name, seq): at_ns for name, some in heard.messages.items() for _, seq, _, at_ns in some
+    }
     ages_ms, later_ms, latest_ns = list[float](), list[float](), 0
-    for at_ns, hand in messages:
-        touching = [
-            (f.t_ns, name, f.seq)
-            for name, f in hand.fingers.items()
-            if f.state == "contact" and f.t_ns
-        ]
+    for at_ns, touching in heard.hand:
         t_ns, name, seq = max(touching, default=(0, "", None))
         if t_ns > latest_ns:
             latest_ns = t_ns
             ages_ms.append((at_ns - t_ns) / 1e6)
-            if (name, seq) in own_ns:
+            if seq is not None and (name, seq) in own_ns:
                 later_ms.append((at_ns - own_ns[name, seq]) / 1e6)
     return ages_ms, later_ms
-
-
-def family(pid: int) -> list[int]:
-    """Ids of a process and its children."""
-    found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
-    return [pid, *map(int, found.split())]
 
 
 def measure(
@@ -146,19 +82,15 @@ def measure(
     """Run one row's daemons for the given seconds and return the figures;
     the latencies are the first topic's.
     """
-    words = [
-        sys.executable,
-        "-m",
-        "tools.benchmarks.hand",
-        "--role",
-        ",".join(names),
-        "--port",
-        str(port),
-    ]
-    words += ["--topics", ",".join(topics)]
-    listen = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    assert listen.stdout is not None
-    assert listen.stdout.readline() == "ready\n"
+    listener = HearingProcess(
+        Listening(
+            broker=broker_at("127.0.0.1", port),
+            sensors=names,
+            decoded=topics[:1],
+            received=topics[1:],
+            hand_id=HAND_ID,
+        )
+    )
     kinds = ["contact" if k < pressed else "free" for k in range(len(names))]
     rings = [str(folder / f"{kind}.npy") for kind in kinds]
     if row not in ("apart", "null"):
@@ -192,43 +124,37 @@ def measure(
         for worker in workers:
             worker.send_signal(signal.SIGTERM)
         codes = [worker.wait(30) for worker in workers]
-        heard = json.loads(listen.communicate(timeout=30)[0])
+        heard = listener.heard()
     finally:
         for worker in workers:
             worker.kill()
-        listen.kill()
-    frames = heard["health"]
+        listener.stop()
+    frames = {name: told[-1][1]["frames"] for name, told in heard.health.items()}
     accounted = not any(codes) and len(frames) == len(names)
     for name in names:
         counts = frames[name]
         accounted &= counts["pending"] == 0
         accounted &= counts["captured"] == sum(
-            n for outcome, n in counts.items() if outcome not in ("captured", "lost")
+            n for outcome, n in counts.items() if outcome != "captured"
         )
-        accounted &= topics[0] != "height" or len(heard["latencies"][name]) == counts["published"]
-    steady = sorted(
-        ms for each in heard["latencies"].values() for ms in each[round(2 * args.fps) :]
-    )
-    of = {f"p{p}_ms": steady[int(len(steady) * p / 100)] for p in (50, 99)}
+        accounted &= topics[0] != "height" or len(heard.messages[name]) == counts["published"]
     captured = sum(counts["captured"] for counts in frames.values())
-    lost = sum(
-        counts[why] for counts in frames.values() for why in ("superseded", "failed", "lost")
-    )
     found = {
-        "lost": lost,
-        "rate": heard["rate"],
+        "lost": heard.frames()[1],
+        "rate": heard.rate(),
         "memory_mb": memory,
         "cpu": cpu,
-        **of,
-        "max_ms": steady[-1],
+        "p50_ms": heard.percentile_ms(0.5),
+        "p99_ms": heard.percentile_ms(0.99),
+        "max_ms": heard.percentile_ms(1.0),
         "captured": captured,
         "accounted": accounted,
     }
     if row == "objects":
-        for what in ("objects", "later"):
-            times_ms = sorted(heard[f"{what}_ms"][round(2 * args.fps) :])
+        for what, each in zip(("objects", "later"), ages(heard), strict=True):
+            times_ms = sorted(each[round(2 * args.fps) :])
             found |= {f"{what}_p{p}_ms": times_ms[int(len(times_ms) * p / 100)] for p in (50, 99)}
-        found["objects_per_s"] = heard["messages"] / args.seconds
+        found["objects_per_s"] = len(heard.hand) / args.seconds
     return found
 
 
@@ -239,12 +165,7 @@ def main() -> int:
     parser.add_argument("--fps", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row, start included")
     parser.add_argument("--profile", choices=list(PROFILES), default=DEFAULT)
-    for hidden, kind in (("--role", str), ("--port", int), ("--topics", str)):  # for the subscriber
-        parser.add_argument(hidden, type=kind, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.role is not None:
-        subscriber(args.port, args.role.split(","), args.topics.split(","))
-        return 0
     names = [f"finger{k}" for k in range(args.sensors)]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)

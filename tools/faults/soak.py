@@ -332,7 +332,7 @@ def run(seconds: float) -> tuple[str, list[str]]:
         words = list(map(str, (settings(folder, broker.port, folder / "line"), FPS, *rings)))
         with (folder / "log").open("w") as log:
             hand = subprocess.Popen(
-                [sys.executable, "-m", "tools.testbed.ring_daemon", *words], stderr=log
+                [sys.executable, "-m", "tacshade_edge.lab.trial.ring_daemon", *words], stderr=log
             )
         stack.callback(hand.kill)
         bridges = {

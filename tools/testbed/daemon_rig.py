@@ -1,4 +1,4 @@
-"""What the daemon's benches share: a camera that costs nothing, its images,
+"""What the daemon's benches share: the images of a camera that costs nothing,
 and figures of a process.
 """
 
@@ -6,63 +6,14 @@ from __future__ import annotations
 
 import os
 import re
-import time
+import subprocess
 from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.types import U8, Frame
-
 RING = 32
 BASE = "tacshade/bench"
 FIELDS = {"resident": "VmRSS", "own": "RssAnon", "files": "RssFile", "peak": "VmHWM"}
-
-
-class RingSource:
-    """A `FrameSource` that cycles through images of a file, uint8 (N, H, W);
-    it drops late ones, as a camera does.
-    """
-
-    def __init__(self, path: Path, fps: float) -> None:
-        self._images: U8 = np.asarray(
-            np.load(path, mmap_mode="r")
-        )  # mapped: its pages are counted separately
-        self._period_ns = round(1e9 / fps)
-        self._zero_ns = self._next_seq = 0
-        self.dropped = 0
-
-    def open(self) -> None:
-        """Start the clock."""
-        self._zero_ns = time.monotonic_ns() - self._next_seq * self._period_ns
-
-    def read(self) -> Frame:
-        """Wait until the next frame is due; its time stamp is that time."""
-        seq, t_ns = self._wait()
-        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(
-            seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)]
-        )
-
-    def skip(self) -> bool:
-        """Wait until the next frame is due."""
-        self._wait()
-        return True
-
-    def _wait(self) -> tuple[int, int]:
-        missed = max((time.monotonic_ns() - self._zero_ns) // self._period_ns - self._next_seq, 0)
-        self.dropped += missed
-        seq = self._next_seq + missed
-        self._next_seq = seq + 1
-        t_ns = self._zero_ns + seq * self._period_ns
-        time.sleep(max(t_ns - time.monotonic_ns(), 0) / 1e9)
-        return seq, t_ns
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def describe(self) -> dict[str, str | int | float]:
-        """Describe the source."""
-        return {"device": "ring", "images": len(self._images)}
 
 
 def draw_rings(folder: Path) -> None:
@@ -129,3 +80,9 @@ def cpu_s(pid: int) -> float:
     """Processor time in s that a process has used in all its threads."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def family(pid: int) -> list[int]:
+    """Ids of a process and its children."""
+    found = subprocess.run(("pgrep", "-P", str(pid)), capture_output=True, check=False).stdout
+    return [pid, *map(int, found.split())]

@@ -19,7 +19,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.tail import measure_tail
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.lab.parallel import usable_cores, workers
 from tacshade_edge.lab.simulator.press import PAPER_OBJECTS, Press
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
@@ -42,9 +42,11 @@ from tacshade_edge.lab.studies.tradeoff.judging import (
     simulated,
 )
 from tacshade_edge.lab.studies.tradeoff.measure import Offer, measure
+from tacshade_edge.lab.trial.trial import TrialBroker, Wanted, try_daemon
 from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.image.preprocess import halved_calibration
 from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.settings import load_all
 from tacshade_edge.types import F32, Calibration
 
 if TYPE_CHECKING:
@@ -55,7 +57,13 @@ SENSORS = "default,5"
 BUSY = 1.1
 """Ratio of wall time to processor time above which other programs kept the machine busy."""
 USUAL_HZ, TAIL_S = 30.0, 5.0
-"""The rhythm of the machine's own tail where no rate is asked, and how long it is measured."""
+"""The daemon's rate where none is asked, and how long the machine's own tail is measured without
+a daemon.
+"""
+TRIED_MAX = 3
+"""Settings that the daemon is tried with, the most accurate first: each takes half a minute."""
+TOUCHED_MAX, UNTOUCHED_MAX = 24, 8
+"""Images that the daemon sees, over and over."""
 WIDEST_PX = 400
 """Greatest width of the image in which a print is sought."""
 
@@ -71,6 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(wish, "--fingers", "N", text, number("a number from 1 to 100", 1, 100, int))
     text = f"one or more of {', '.join(OUTPUTS)}, together (default: each alone, and all)"
     add_option(wish, "--outputs", "NAME,...", text, _outputs)
+    text = "settings of the trial's broker (default: a private one)"
+    add_option(wish, "--config", "FILE", text)
     parser.add_argument("--plot", action="store_true", help="with --out: also write tradeoff.png")
     text = (
         "time only the learned profiles and print a report to send in; "
@@ -120,13 +130,19 @@ def run(args: argparse.Namespace) -> int:
             f"the machine was busy: frames took {busy:.1f} times as long as the processor time "
             "shown here"
         )
+    wanted = [row for row in rows if row.outputs == asked[-1]]
+    tried, text, holds = _recommend(args, wanted, calibration, judged)
+    rows = [*(row for row in rows if row.outputs != asked[-1]), *tried]
     csv = {"": tradeoff_report.csv_text(rows)}
     study.publish(
         args, "tradeoff", tradeoff_report.table(rows), csv, tradeoff_report.document(rows, busy)
     )
     if drawn:
         study.write(args.out / "tradeoff.png", tradeoff_report.draw(rows, args.budget_ms))
-    holds = _recommend(args, [row for row in rows if row.outputs == asked[-1]])
+    if not holds:
+        warn(text)
+    elif text:
+        print(f"\n{text}", file=sys.stderr if args.json else sys.stdout)
     return 0 if holds and not mistakes else 1
 
 
@@ -144,20 +160,65 @@ def _outputs_of(args: argparse.Namespace, profiles: Sequence[str]) -> tuple[str,
     return tuple(name for name in OUTPUTS if name in found)
 
 
-def _recommend(args: argparse.Namespace, rows: Sequence[Offer]) -> bool:
-    """Print the settings that hold what is asked, with the machine's own tail; whether some do."""
+def _recommend(
+    args: argparse.Namespace,
+    rows: Sequence[Offer],
+    calibration: Calibration,
+    judged: Sequence[JudgedFrames],
+) -> tuple[Sequence[Offer], str, bool]:
+    """The rows, with what the daemon did where it was tried; the settings that hold what is asked,
+    or why none do; whether some do.
+    """
     if (args.budget_ms, args.fps, args.fingers) == (None, None, None):
-        return True
+        return rows, "", True
     wish = tradeoff_report.Wish(args.budget_ms, args.fps, args.fingers or 1, usable_cores())
-    offer, text = tradeoff_report.choose(rows, wish)
-    if offer is None:
-        warn(text)
-        return False
-    # Promises are of processor time: the machine's own tail comes on top.
-    tail = measure_tail(offer.times.p50_ms, wish.fps or USUAL_HZ, TAIL_S)
-    line = tradeoff_report.tail_line(offer, tail)
-    print(f"\n{text}\n{line}", file=sys.stderr if args.json else sys.stdout)
-    return True
+    progress = Progress()
+    try:
+        # Times of the processor choose among many; what is promised, the daemon itself has held.
+        with TrialBroker(args.config and load_all(args.config)[0]) as broker:
+            for done in range(TRIED_MAX):
+                offer, text = tradeoff_report.choose(rows, wish)
+                if offer is None or offer.promise is not None:
+                    return rows, text, offer is not None
+                progress("daemons tried", done, TRIED_MAX)
+                wanted = _wanted(offer, wish, calibration, judged)
+                promise = try_daemon(wanted, broker, offer.times.p50_ms)
+                rows = [replace(row, promise=promise) if row is offer else row for row in rows]
+            offer, text = tradeoff_report.choose(rows, wish)
+            if offer is not None and offer.promise is None:
+                return rows, f"nothing holds that the daemon was tried with; untried: {text}", False
+            return rows, text, offer is not None
+    except DeviceError as error:
+        offer, text = tradeoff_report.choose(rows, wish)
+        if offer is None:
+            return rows, text, False
+        tail = measure_tail(offer.times.p50_ms, wish.fps or USUAL_HZ, TAIL_S)
+        return rows, f"{text}\n{tradeoff_report.tail_line(offer, tail, str(error))}", True
+    finally:
+        progress.end()
+
+
+def _wanted(
+    offer: Offer,
+    wish: tradeoff_report.Wish,
+    calibration: Calibration,
+    judged: Sequence[JudgedFrames],
+) -> Wanted:
+    """What the daemon is tried with: contacts, and the untouched skin between them."""
+    setting, first = offer.setting, [each for each in judged if each.sensor == judged[0].sensor]
+    images = [
+        to_grey(setting.image(each.image))
+        for is_touched, count in ((True, TOUCHED_MAX), (False, UNTOUCHED_MAX))
+        for each in [one for one in first if one.touched is is_touched][:count]
+    ]
+    return Wanted(
+        profile=setting.profile,
+        calibration=halved_calibration(calibration) if setting.half else calibration,
+        images=images,
+        fps=wish.fps or USUAL_HZ,
+        fingers=wish.fingers,
+        outputs=offer.outputs,
+    )
 
 
 def _simulated(
@@ -198,6 +259,7 @@ def _report(args: argparse.Namespace) -> int:
         "fps",
         "fingers",
         "outputs",
+        "config",
         "sensors",
         "objects",
         "cluster",

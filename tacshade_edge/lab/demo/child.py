@@ -1,4 +1,4 @@
-"""A process that the demo starts: its output goes to a file, and it never outlives the demo."""
+"""A process that a command starts: its output goes to a file, and it never outlives the command."""
 
 from __future__ import annotations
 
@@ -35,13 +35,15 @@ def free_port() -> int:
 
 class Child:
     """A process with a log file in `folder`, in its own session:
-    Ctrl-C reaches only the demo, which stops it.
+    Ctrl-C reaches only the command `of`, which stops it.
 
-    On Linux, the kernel sends it SIGTERM if the demo dies in any other way.
+    On Linux, the kernel sends it SIGTERM if the command dies in any other way.
     """
 
-    def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
-        self.name = name
+    def __init__(
+        self, name: str, command: Sequence[str], folder: Path, *, of: str = "demo"
+    ) -> None:
+        self.name, self.of = name, of
         self._log = folder / f"{name}.log"
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -65,7 +67,7 @@ class Child:
         if code is not None:
             lines = [line for line in self.output.splitlines() if line.strip()]
             raise DeviceError(
-                f"demo: the {self.name} exited with status {code}: "
+                f"{self.of}: the {self.name} exited with status {code}: "
                 f"{lines[-1] if lines else 'no output'}"
             )
 
@@ -91,7 +93,8 @@ def wait_for_port(child: Child, port: int, timeout_s: float, host: str = "127.0.
             return
         if time.monotonic() > deadline_s:
             raise DeviceError(
-                f"demo: the {child.name} did not listen on port {port} within {timeout_s:.0f} s"
+                f"{child.of}: the {child.name} did not listen on port {port} "
+                f"within {timeout_s:.0f} s"
             )
         time.sleep(_POLL_S)
 
@@ -148,7 +151,7 @@ def broker_command(folder: Path, port: int) -> list[str]:
         return [mosquitto, "-c", str(settings)]
     if importlib.util.find_spec("iotcore") is None:
         expected = f"expected mosquitto or the `demo` extra's broker: {how_to_install('demo')}"
-        raise DeviceError(f"demo: found no broker, {expected}")
+        raise DeviceError(f"found no broker, {expected}")
     return [sys.executable, "-m", __name__, str(settings)]
 
 

@@ -31,7 +31,7 @@ from tacshade_edge.lab.studies.tradeoff.judging import (
     errors,
     settings,
 )
-from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, Promise
 from tacshade_edge.lab.studies.tradeoff.tradeoff_report import Wish, choose, tail_line
 from tacshade_edge.sensor.image.white import halved
 from tacshade_edge.types import Frame
@@ -187,7 +187,9 @@ def test_the_most_accurate_that_holds_as_yaml(
 
 
 def test_what_is_given_up_and_what_holds_nothing() -> None:
-    given_up = "# given up: accurate at 640x480: off by 0.100 mm, 0.100 mm; p99 6.00 ms"
+    given_up = (
+        "# given up: accurate at 640x480: off by 0.100 mm, 0.100 mm; p99 of processor time 6.00 ms"
+    )
     assert given_up in block(ROWS, Wish(2.0, None, 1, 4))
     assert "given up: nothing" in block(ROWS, Wish(None, None, 1, 4))
     assert "# source of each sensor: width_px: 320, height_px: 240, fps: 300" in block(
@@ -202,7 +204,7 @@ def test_what_is_given_up_and_what_holds_nothing() -> None:
     assert not choose([row("fast", math.nan, math.nan)], Wish(None, None, 1, 1))[0]
 
 
-def test_a_promise_is_made_with_the_machines_own_tail() -> None:
+def test_without_a_daemon_a_promise_is_made_with_the_machines_own_tail() -> None:
     offer, _ = choose(ROWS, Wish(None, None, 1, 4))
     assert offer
     tail = Tail(
@@ -213,9 +215,33 @@ def test_a_promise_is_made_with_the_machines_own_tail() -> None:
         processor_p50_ms=3.0,
         processor_p99_ms=3.1,
     )
-    line = tail_line(offer, tail)
+    line = tail_line(offer, tail, "no broker")
+    assert "(no broker), so this ends when a message is encoded" in line
     assert "plain work of 3.0 ms ends within 9.0 ms in 99 % (3.0 times)" in line
     assert line.endswith(f"expect {3 * offer.times.p99_ms:.1f} ms")
+
+
+@pytest.mark.parametrize(
+    ("p99_ms", "lost", "control_p99_ms", "holds"),
+    [
+        (6.9, 0, 1.1, True),
+        (6.9, 5, 1.1, True),
+        (6.9, 6, 1.1, False),
+        (7.1, 0, 1.1, False),
+        # The machine let plain work wait as well: the settings are not to blame.
+        (50.0, 90, 2.1, True),
+    ],
+)
+def test_what_the_daemon_did_decides(
+    p99_ms: float, lost: int, control_p99_ms: float, holds: bool
+) -> None:
+    promise = Promise(2.0, p99_ms, 500, lost, "a broker", 1.0, control_p99_ms)
+    tried = replace(row("fast", 0.3, 1.0), promise=promise)
+    offer, text = choose([tried], Wish(7.0, 60, 1, 1))
+    assert (offer is tried) is holds
+    assert ("other programs disturbed both" in text) is promise.is_disturbed
+    record = tradeoff_report.record(tried)
+    assert (record["daemon_p99_ms"], record["daemon_lost"]) == (p99_ms, lost)
 
 
 def test_fitted_networks_run_where_there_are_some() -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tacshade_edge.doctor.tail import TAILED
 from tacshade_edge.lab.parallel import Report
 from tacshade_edge.lab.studies.evaluate.work import one_thread
 from tacshade_edge.lab.studies.tradeoff.judging import OUTPUTS, JudgedFrames, Setting
@@ -48,6 +49,27 @@ class Times:
 
 
 @dataclass(frozen=True, slots=True)
+class Promise:
+    """How old messages were when a subscriber of the daemon itself had decoded them, how many of
+    the frames after the first second were lost, and the p99 of plain work that takes `control_ms`,
+    at the same rate.
+    """
+
+    p50_ms: float
+    p99_ms: float
+    frames: int
+    lost: int
+    through: str  # the broker, for people
+    control_ms: float
+    control_p99_ms: float
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether the machine let plain work wait too, so that no settings are to blame."""
+        return self.control_p99_ms > TAILED * self.control_ms
+
+
+@dataclass(frozen=True, slots=True)
 class Offer:
     """What some outputs together cost with a setting, and how wrong each of them is."""
 
@@ -63,6 +85,7 @@ class Offer:
     times: Times
     peak_mib: float
     front: bool = False  # none with the same outputs is both faster and more accurate
+    promise: Promise | None = None  # only of settings that the daemon was tried with
 
     @property
     def image(self) -> str:

@@ -18,7 +18,7 @@ from tacshade_edge.lab.studies import markdown
 from tacshade_edge.lab.studies.evaluate.accuracy import versions
 from tacshade_edge.lab.studies.markdown import number
 from tacshade_edge.lab.studies.tradeoff.judging import OUTPUTS
-from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, relative_errors
+from tacshade_edge.lab.studies.tradeoff.measure import Estimate, Offer, Promise, relative_errors
 from tacshade_edge.quoting import counted
 
 HAND = 4
@@ -27,6 +27,8 @@ HALF_WORSE = 1.05
 """Images of half the size must be this much more accurate to be chosen,
 because they need another calibration.
 """
+LOST_MAX = 0.01
+"""A daemon that loses a greater share of its frames does not hold the rate."""
 _COLOURS = ("#8a5fb0", "#e4572e", "#4a9c5d", "#3d6fb4")
 
 
@@ -96,7 +98,10 @@ def record(row: Offer) -> dict[str, Any]:
         for name in ("scenes", "missed", "untouched", "phantoms", "peak_mib", "front")
     }
     line |= asdict(row.times)
-    return line | {"fps_core": row.fps(1, 1), "fps_fingers": row.fps(HAND, usable_cores())}
+    line |= {"fps_core": row.fps(1, 1), "fps_fingers": row.fps(HAND, usable_cores())}
+    names = ("p50_ms", "p99_ms", "lost", "control_p99_ms")
+    kept = [getattr(row.promise, name, math.nan) for name in names]
+    return line | {f"daemon_{name}": value for name, value in zip(names, kept, strict=True)}
 
 
 def csv_text(rows: Sequence[Offer]) -> str:
@@ -130,9 +135,13 @@ class Wish:
 
     def held_by(self, row: Offer) -> bool:
         """Whether 99 of 100 frames in contact stay within the budget,
-        and all fingers can have the rate.
+        and all fingers can have the rate: in the daemon's own run, if it was tried undisturbed.
         """
-        in_time = row.times.p99_ms <= (math.inf if self.budget_ms is None else self.budget_ms)
+        budget_ms = math.inf if self.budget_ms is None else self.budget_ms
+        if (promise := row.promise) is not None and not promise.is_disturbed:
+            is_lossy = self.fps is not None and promise.lost > LOST_MAX * promise.frames
+            return promise.p99_ms <= budget_ms and not is_lossy
+        in_time = row.times.p99_ms <= budget_ms
         return in_time and row.fps(self.fingers, self.cores) >= (self.fps or 0)
 
     def __str__(self) -> str:
@@ -193,24 +202,43 @@ def choose(rows: Sequence[Offer], wish: Wish) -> tuple[Offer | None, str]:
         )
     if size:
         lines.append("# calibrate again at this image size")
-    return found, "\n".join(lines)
+    return found, "\n".join([*lines, *_promised(found.promise)])
 
 
-def tail_line(offer: Offer, tail: Tail) -> str:
-    """What the machine makes of plain work that lasts as long as the offer's frames."""
+def _promised(promise: Promise | None) -> list[str]:
+    """What the daemon's own run showed, if there was one."""
+    if promise is None:
+        return []
+    disturbed = "; other programs disturbed both, so times of the processor chose the settings"
+    return [
+        f"# the daemon itself, here, through {promise.through}: decoded messages are "
+        f"{promise.p50_ms:.1f} ms old (p50), {promise.p99_ms:.1f} ms (p99); "
+        f"lost after the first second: {promise.lost} of {counted(promise.frames, 'frame')}",
+        f"# control: plain work of {promise.control_ms:.1f} ms ends within "
+        f"{promise.control_p99_ms:.1f} ms (p99){disturbed * promise.is_disturbed}",
+    ]
+
+
+def tail_line(offer: Offer, tail: Tail, reason: str) -> str:
+    """What the machine makes of plain work that lasts as long as the offer's frames, and why no
+    daemon was tried.
+    """
     return (
-        f"# on this machine, now: plain work of {tail.processor_p50_ms:.1f} ms ends within "
-        f"{tail.p99_ms:.1f} ms in 99 % ({tail.ratio:.1f} times); a frame waits as long, so expect "
-        f"{tail.ratio * offer.times.p99_ms:.1f} ms"
+        f"# the daemon was not tried ({reason}), so this ends when a message is encoded: "
+        f"plain work of {tail.processor_p50_ms:.1f} ms ends within {tail.p99_ms:.1f} ms in 99 % "
+        f"({tail.ratio:.1f} times); expect {tail.ratio * offer.times.p99_ms:.1f} ms"
     )
 
 
 def _said(row: Offer, wish: Wish) -> str:
     rate = f"at most {row.fps(wish.fingers, wish.cores):.0f} frames/s"
-    return (
-        f"{row.setting.profile} at {row.image}: off by {_errors(row)}; "
-        f"p99 {row.times.p99_ms:.2f} ms, {rate}"
-    )
+    return f"{row.setting.profile} at {row.image}: off by {_errors(row)}; {_p99(row)}, {rate}"
+
+
+def _p99(row: Offer) -> str:
+    if row.promise is None:
+        return f"p99 of processor time {row.times.p99_ms:.2f} ms"
+    return f"p99 {row.promise.p99_ms:.1f} ms at the subscriber, {row.promise.lost} frames lost"
 
 
 def draw(rows: Sequence[Offer], budget_ms: float | None) -> bytes:
