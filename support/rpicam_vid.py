@@ -28,12 +28,22 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
     import pytest
+
+
+CAMERAS = """\
+Available cameras
+-----------------
+0 : imx219 [3280x2464 10-bit RGGB] (/base/soc/i2c0mux/i2c@1/imx219@10)
+    Modes: 'SRGGB10_CSI2P' : 640x480 [206.65 fps - (1000, 752)/1280x960 crop]
+                             1640x1232 [41.85 fps - (0, 0)/3280x2464 crop]
+                             1920x1080 [47.57 fps - (680, 692)/1920x1080 crop]
+                             3280x2464 [21.19 fps - (0, 0)/3280x2464 crop]"""
 
 
 def put_on_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,28 +54,25 @@ def put_on_path(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
 
 
-def main() -> int:
-    """Write frames until nobody reads."""
+def arguments() -> argparse.Namespace:
+    """What the caller asks for, as the program accepts it."""
     parser = argparse.ArgumentParser()
     for name in ("camera", "width", "height", "shutter", "timeout", "verbose"):
         parser.add_argument(f"--{name}", type=int)
     for name in ("framerate", "gain"):
         parser.add_argument(f"--{name}", type=float)
-    for name in (
-        "autofocus-mode",
-        "lens-position",
-        "mode",
-        "awbgains",
-        "denoise",
-        "codec",
-        "output",
-        "metadata",
-        "metadata-format",
-    ):
+    for name in ("autofocus-mode", "lens-position", "mode", "awbgains", "denoise"):
+        parser.add_argument(f"--{name}")
+    for name in ("codec", "output", "metadata", "metadata-format"):
         parser.add_argument(f"--{name}")
     for name in ("nopreview", "flush", "list-cameras"):
         parser.add_argument(f"--{name}", action="store_true")
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Do what is asked for, but for what `STAND_IN` says."""
+    args = arguments()
     do = json.loads(os.environ.get("STAND_IN", "{}"))
     if notes := do.get("notes"):
         Path(notes).write_text(json.dumps(vars(args)))
@@ -73,65 +80,64 @@ def main() -> int:
         print(says, file=sys.stderr)
         return 255
     if args.list_cameras:
-        print("Available cameras\n-----------------")
-        print("0 : imx219 [3280x2464 10-bit RGGB] (/base/soc/i2c0mux/i2c@1/imx219@10)")
-        print("    Modes: 'SRGGB10_CSI2P' : 640x480 [206.65 fps - (1000, 752)/1280x960 crop]")
-        print("                             1640x1232 [41.85 fps - (0, 0)/3280x2464 crop]")
-        print("                             1920x1080 [47.57 fps - (680, 692)/1920x1080 crop]")
-        print("                             3280x2464 [21.19 fps - (0, 0)/3280x2464 crop]")
+        print(CAMERAS)
         return 0
-    assert (args.codec, args.output, args.metadata_format, args.flush) == (
-        "yuv420",
-        "-",
-        "txt",
-        True,
-    )
+    form = (args.codec, args.output, args.metadata_format, args.flush)
+    assert form == ("yuv420", "-", "txt", True)
     assert args.autofocus_mode == "manual"  # otherwise a lens that moves focuses all the time
+    with Path(args.metadata).open("wb", buffering=0) as records:
+        show(args, do, records)
+    return 0
+
+
+def show(args: argparse.Namespace, do: dict[str, Any], records: IO[bytes]) -> None:
+    """Write frames until nobody reads."""
     shape = (args.height, args.width)
     images = (
         np.load(do["frames"])
         if "frames" in do
         else np.arange(4, dtype=np.uint8)[:, None, None] * np.ones(shape)
     )
-    colour = bytes([128]) * max(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0)
-    cut = min(shape[0] * shape[1] // 2 + do.get("extra_bytes", 0), 0) or None
+    colour_bytes = shape[0] * shape[1] // 2 + do.get("extra_bytes", 0)
+    colour, cut = bytes([128]) * max(colour_bytes, 0), min(colour_bytes, 0) or None
     period_ns, behind, waiting = round(1e9 / args.framerate), do.get("behind", 0), b""
-    with Path(args.metadata).open("wb", buffering=0) as records:
-        began_ns = time.monotonic_ns()
-        for n in range(do.get("count", 1 << 62)):
-            stamp_ns = began_ns + n * period_ns
-            time.sleep(max(0, stamp_ns + period_ns // 2 - time.monotonic_ns()) / 1e9)
-            if n in do.get("lose", ()):
-                continue
-            if n == do.get("stalls"):
-                time.sleep(60)
-            sys.stdout.buffer.write(
-                images[n % len(images)].astype(np.uint8).tobytes()[:cut] + colour
-            )
-            if n + 1 >= behind:
-                sys.stdout.buffer.flush()
-            exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
-            values = {
-                "SensorTimestamp": stamp_ns,
-                "ExposureTime": round(exposure),
-                "AnalogueGain": f"{args.gain:.6f}",
-                "FrameDuration": period_ns // 1000,
-                "ColourGains": "[ 1.000000, 1.000000 ]",
-            }
-            if do.get("lens"):
-                values["LensPosition"] = (
-                    1.0 if args.lens_position == "default" else float(args.lens_position)
-                )
-            text = "".join(f"{key}={value}\n" for key, value in values.items()).encode() + b"\n"
-            if n + 1 < behind:
-                waiting += text
-                continue
-            if n + 1 == behind:
-                records.write(waiting)
-                time.sleep(0.3)
-            if do.get("records", True):
-                records.write(text)
-    return 0
+    began_ns = time.monotonic_ns()
+    for n in range(do.get("count", 1 << 62)):
+        stamp_ns = began_ns + n * period_ns
+        time.sleep(max(0, stamp_ns + period_ns // 2 - time.monotonic_ns()) / 1e9)
+        if n in do.get("lose", ()):
+            continue
+        if n == do.get("stalls"):
+            time.sleep(60)
+        image = images[n % len(images)].astype(np.uint8).tobytes()
+        sys.stdout.buffer.write(image[:cut] + colour)
+        if n + 1 >= behind:
+            sys.stdout.buffer.flush()
+        text = record(args, do, n, stamp_ns)
+        if n + 1 < behind:
+            waiting += text
+            continue
+        if n + 1 == behind:
+            records.write(waiting)
+            time.sleep(0.3)
+        if do.get("records", True):
+            records.write(text)
+
+
+def record(args: argparse.Namespace, do: dict[str, Any], n: int, stamp_ns: int) -> bytes:
+    """What the program says of a frame."""
+    exposure = do.get("exposure", 1) * args.shutter * (2 if n < do.get("settle", 0) else 1)
+    values = {
+        "SensorTimestamp": stamp_ns,
+        "ExposureTime": round(exposure),
+        "AnalogueGain": f"{args.gain:.6f}",
+        "FrameDuration": round(1e9 / args.framerate) // 1000,
+        "ColourGains": "[ 1.000000, 1.000000 ]",
+    }
+    if do.get("lens"):
+        place = args.lens_position
+        values["LensPosition"] = 1.0 if place == "default" else float(place)
+    return "".join(f"{key}={value}\n" for key, value in values.items()).encode() + b"\n"
 
 
 if __name__ == "__main__":

@@ -1,13 +1,11 @@
-"""The threads that frames pass through, the mailbox between them,
-and the ledger of what becomes of each.
-"""
+"""The threads that frames pass through, and the mailbox between them."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -15,7 +13,7 @@ from hypothesis import strategies as st
 
 from support.patience import patience
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
-from tacshade_edge.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult, SourceState
 from tacshade_edge.pipeline.pipeline import (
     LOOK_EVERY,
@@ -31,68 +29,6 @@ from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
-
-OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
-
-
-@given(st.lists(st.sampled_from([*OUTCOMES, None, "undecodable"]), max_size=40))
-def test_captured_is_the_sum_of_the_outcomes_and_of_what_is_pending(
-    ends: list[FrameOutcome | str | None],
-) -> None:
-    ledger = FrameLedger()
-    for seq, end in enumerate(ends):
-        if end in ("undecodable", "unasked"):
-            ledger.passed("unasked" if end == "unasked" else "failed")
-            continue
-        ledger.captured(seq)
-        for outcome in OUTCOMES:
-            if end == outcome:
-                ledger.settle(seq, outcome)
-    counts = ledger.counts().as_dict()
-    expected = {outcome: ends.count(outcome) for outcome in OUTCOMES}
-    expected["failed"] += ends.count("undecodable")
-    assert counts == {"captured": len(ends), **expected, "pending": ends.count(None)}
-    assert ledger.close(0) == ends.count(None)
-    after = ledger.counts()
-    assert (after.pending, after.failed) == (0, expected["failed"] + ends.count(None))
-    ledger.captured(100)
-    ledger.settle(0, "published")
-    ledger.passed("failed")
-    assert ledger.counts() == after
-
-
-def test_close_waits_for_frames_that_are_still_on_their_way() -> None:
-    ledger = FrameLedger()
-    ledger.captured(0)
-    late = threading.Timer(0.05, ledger.settle, (0, "published"))
-    late.start()
-    assert ledger.close(10) == 0
-    assert ledger.counts().published == 1
-    late.join()
-
-
-def test_booking_a_frame_twice_is_a_defect() -> None:
-    ledger = FrameLedger()
-    ledger.captured(3)
-    with pytest.raises(KeyError):
-        ledger.captured(3)
-    ledger.settle(3, "published")
-    with pytest.raises(KeyError):
-        ledger.settle(3, "failed")
-    assert ledger.counts().as_dict()["captured"] == 1
-
-
-def test_percentiles_are_nearest_rank_over_the_latest_frames() -> None:
-    timings = Timings()
-    assert timings.percentiles() == {}
-    timings.add({"a": 5.0})
-    assert timings.percentiles() == {"a": {"p50": 5.0, "p99": 5.0}}
-    for i in range(1, 101):
-        timings.add({"b": float(i)})
-    assert timings.percentiles()["b"] == {"p50": 50.0, "p99": 99.0}
-    for _ in range(WINDOW_FRAMES):
-        timings.add({"b": 7.0})
-    assert timings.percentiles()["b"] == {"p50": 7.0, "p99": 7.0}
 
 
 @given(st.lists(st.sampled_from(["put", "take", "close"]), max_size=30))

@@ -1,11 +1,9 @@
-"""What is published of a frame, the health, the preview, and the announcement in Home Assistant."""
+"""What is published of a frame, the health and the preview."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
-from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import touched_depth_mm
-from support.patience import wait_until
 from support.published_sensor import bump, unmeasured
 from tacshade_edge.daemon.active_profile import ActiveProfile
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.reference_in_use import References
-from tacshade_edge.mqtt.client import broker_at
-from tacshade_edge.mqtt.home_assistant import STATUS, HomeAssistant, discovery_topics
-from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.mqtt.publishing import WIDTH_PX, ContactEvents, HealthReport, Preview, Publisher
 from tacshade_edge.pipeline.ledger import FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
@@ -393,82 +386,3 @@ def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_nee
         240,
         WIDTH_PX,
     )
-
-
-USERS = ("hand", "other", "homeassistant")
-
-TOPICS = discovery_topics("hand")
-
-
-@contextmanager
-def announcing(
-    port: int, *, user: str = "hand", wanted: bool
-) -> Iterator[tuple[MqttLink, HomeAssistant]]:
-    """What of a daemon named `hand` announces it."""
-    link = MqttLink(
-        broker_at("127.0.0.1", port, username=user, password=user),
-        base_topic="tacshade/hand",
-        client_id="tacshade-hand",
-        on_request=lambda _: None,
-        on_outcome=lambda *_: None,
-    )
-    announcer = HomeAssistant(link, "hand", wanted=wanted)
-    announcer.announce(["fast", "paper"])
-    link.start()
-    try:
-        wait_until(lambda: link.connected, 10, "connected")
-        yield link, announcer
-    finally:
-        link.stop(2)
-
-
-def announced_state(assistant: Subscriber) -> str:
-    payloads = assistant.of(f"tacshade/hand/{STATUS}")
-    return str(json.loads(payloads[-1])["state"]) if payloads else ""
-
-
-@pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[Broker]:
-    rules = tmp_path / "acl"
-    rules.touch(0o600)
-    rules.write_text((Path(__file__).parents[2] / "systemd/mosquitto-tacshade.acl").read_text())
-    with Broker(
-        tmp_path, users={name: name for name in USERS}, more=(f"acl_file {rules}",)
-    ) as made:
-        yield made
-
-
-def eyes(guarded: Broker) -> Subscriber:
-    """Home Assistant's: what it may read."""
-    subscriber = Subscriber(guarded.port)
-    subscriber.client.username_pw_set("homeassistant", "homeassistant")
-    return subscriber
-
-
-@pytest.fixture
-def assistant(guarded: Broker) -> Iterator[Subscriber]:
-    with eyes(guarded) as subscriber:
-        yield subscriber
-
-
-@pytest.mark.broker
-def test_it_is_announced_and_taken_back(guarded: Broker, assistant: Subscriber) -> None:
-    with announcing(guarded.port, wanted=True) as (link, announcer):
-        wait_until(lambda: announced_state(assistant) == "announced", 10, "the announcement")
-        wait_until(lambda: all(assistant.of(topic) for topic in TOPICS), 10, "announced")
-        select = next(topic for topic in TOPICS if "/select/" in topic)
-        assert json.loads(assistant.of(select)[-1])["options"] == ["fast"]
-        announcer.announce(["fast", "paper"])  # nothing new
-        announcer.announce(["fast", "paper", "auto"])
-        wait_until(lambda: len(assistant.of(select)) == 2, 10, "announced anew")
-        assert json.loads(assistant.of(select)[-1])["options"] == ["fast", "auto"]
-        assert link.counters()["refused"] == 0
-    with announcing(guarded.port, wanted=False) as (link, _):
-        wait_until(lambda: announced_state(assistant) == "withdrawn", 10, "the announcement")
-        wait_until(
-            lambda: all(assistant.of(topic)[-1] == b"" for topic in TOPICS), 10, "taken back"
-        )
-        assert link.counters()["refused"] == 0
-    with eyes(guarded) as later:
-        later.wait_for(f"tacshade/hand/{STATUS}")
-        assert not [m for m in later.messages if m.topic.startswith("homeassistant/")]

@@ -113,7 +113,16 @@ def test_unplugged_and_plugged_in_again_the_session_goes_on_and_the_gap_is_repor
     assert counts["clock_restarts"] == 1  # the greeting; not the cable
 
 
-def test_captures_and_references(link: Path, calibration: Calibration) -> None:
+def answered(robot: PtyRobot, *parts: str) -> None:
+    """Wait for an answer with these parts."""
+
+    def found() -> bool:
+        return any(all(part in reply for part in parts) for reply in robot.replies.values())
+
+    wait_until(found, 10, " ".join(parts))
+
+
+def test_a_capture_takes_the_first_frame_after_it(link: Path, calibration: Calibration) -> None:
     with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
         side.until("connected", state="connected")
 
@@ -127,18 +136,17 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         see(*old)
         assert side.robot.commands.capture_pending  # that one was from before
         see(*frame(time.monotonic_ns(), calibration))
-        wait_until(
-            lambda: any(" frame=5 t_ns=" in r for r in robot.replies.values()), 10, "its answer"
-        )
+        answered(robot, " frame=5 t_ns=")
         robot.ask("CAPTURE")
         wait_until(lambda: side.robot.commands.capture_pending, 10, "CAPTURE")
         see(*frame(time.monotonic_ns(), calibration, valid=False))
-        wait_until(
-            lambda: any("INVALID frame=5: black" in r for r in robot.replies.values()),
-            10,
-            "its answer",
-        )
+        answered(robot, "INVALID frame=5: black")
+        assert side.robot.need() == Need.CONTACT
 
+
+def test_a_reference_is_asked_for_and_answered(link: Path) -> None:
+    with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
+        side.until("connected", state="connected")
         for outcome in (
             ReferenceTaken(10, 7, 0.5),
             Reason(ReasonCode.FRAME_IN_CONTACT, "shows contact"),
@@ -148,25 +156,15 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
             request, reply = side.requests.pop()
             assert request.verb == "reference"
             reply(outcome)
-        wait_until(
-            lambda: any(
-                r.endswith("frames=10 calibration_crc32=7 noise_grey=0.5 stored=1")
-                for r in robot.replies.values()
-            ),
-            10,
-            "OK",
-        )
-        wait_until(
-            lambda: any(r.endswith("REFUSED shows contact") for r in robot.replies.values()),
-            10,
-            "ERR",
-        )
+        answered(robot, "frames=10 calibration_crc32=7 noise_grey=0.5 stored=1")
+        answered(robot, "REFUSED shows contact")
 
-        assert side.robot.need() == Need.CONTACT
+
+def test_a_session_is_commanded_where_maps_are_stitched(link: Path) -> None:
+    with PtyRobot(link, rate_hz=0) as robot, Side(link) as side:
+        side.until("connected", state="connected")
         robot.ask("STITCH BEGIN pad")
-        wait_until(
-            lambda: any("UNAVAILABLE" in r for r in robot.replies.values()), 10, "no stitching"
-        )
+        answered(robot, "UNAVAILABLE")
 
         def submit(action: str, name: str, reply: Any) -> None:
             reply(
@@ -178,18 +176,8 @@ def test_captures_and_references(link: Path, calibration: Calibration) -> None:
         side.robot.commands.stitch = submit
         robot.ask("STITCH BEGIN pad")
         robot.ask("stitch end")
-        wait_until(
-            lambda: any(r.endswith("name=pad") and "OK" in r for r in robot.replies.values()),
-            10,
-            "BEGIN",
-        )
-        wait_until(
-            lambda: any(
-                r.endswith("NOSESSION none is open") and "ERR" in r for r in robot.replies.values()
-            ),
-            10,
-            "END",
-        )
+        answered(robot, "OK", "name=pad")
+        answered(robot, "ERR", "NOSESSION none is open")
 
 
 def test_a_port_that_is_away_and_one_that_is_taken(

@@ -48,6 +48,15 @@ def base(python: tuple[int, int]) -> Path:
     return made
 
 
+def build_options(folder: Path, wheels: Path, built_version: str) -> list[str]:
+    """Without namespaces of its own, which not every machine lets a build have."""
+    words = ["--isolation", "chroot", "--file", "Containerfile"]
+    words += ["--tag", "localhost/tacshade-edge", "--build-arg", "BASE=localhost/base"]
+    words += ["--build-arg", f"TACSHADE_EDGE_VERSION={built_version}"]
+    words += ["--volume", f"{wheels}:/wheels:ro"]
+    return [*words, "--volume", f"{folder}/pip.conf:/etc/pip.conf:ro"]
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with the image's files in `root` and its configuration in image.json."""
@@ -65,32 +74,10 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     built_version = version()
     try:
         done(*podman, "import", "--quiet", base(python), "localhost/base")
-        # Without namespaces of its own, which not every machine lets a build have.
-        words = (
-            "--isolation",
-            "chroot",
-            "--build-arg",
-            "BASE=localhost/base",
-            "--tag",
-            "localhost/tacshade-edge",
-        )
-        words += (
-            "--build-arg",
-            f"TACSHADE_EDGE_VERSION={built_version}",
-            "--file",
-            "Containerfile",
-        )
-        words += (
-            "--volume",
-            f"{wheels}:/wheels:ro",
-            "--volume",
-            f"{folder}/pip.conf:/etc/pip.conf:ro",
-        )
-        done(*podman, "build", "--quiet", *words, ".")
+        done(*podman, "build", "--quiet", *build_options(folder, wheels, built_version), ".")
         found = json.loads(done(*podman, "inspect", "localhost/tacshade-edge"))[0]
-        (folder / "version").write_text(
-            built_version
-        )  # a commit while it is built gives the tree another one
+        # A commit while it is built gives the tree another one.
+        (folder / "version").write_text(built_version)
         (folder / "image.json").write_text(json.dumps(found["Config"]))
         print(
             f"the image has {found['Size'] / 1e6:.0f} MB, its base "
