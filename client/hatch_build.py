@@ -13,6 +13,7 @@ FILES = {
             "errors",
             "mqtt/client",
             "mqtt/listener",
+            "mqtt/subscription",
             "quoting",
             "reasons",
             "rigid",

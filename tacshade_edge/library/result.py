@@ -215,7 +215,8 @@ class Results(ABC, Iterator[Result]):
         Number of frames without a result: a newer one replaced them, or they were lost or damaged
         in transit.
     refused : int
-        Number of messages that no daemon publishes, from `listen`; the log shows the first.
+        Number of messages that no daemon publishes, from `listen`; the log shows the first, and one
+        every 10 s.
     """
 
     @property
@@ -227,7 +228,7 @@ class Results(ABC, Iterator[Result]):
 
     @property
     def refused(self) -> int:
-        """Number of messages that no daemon publishes, from `listen`; the log shows the first."""
+        """Number of messages that no daemon publishes, from `listen`."""
         return 0
 
     # Of the class: `close` must work even if a subclass's constructor has failed.

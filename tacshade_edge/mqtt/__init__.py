@@ -3,5 +3,5 @@
 In: frames' results, payloads. Out: messages and requests.
 Threads: paho's.
 Other rooms use: `caller`, `client`, `client_id_guard`, `follower`, `home_assistant`, `link`,
-    `links`, `outgoing`, `publishing`.
+    `links`, `outgoing`, `publishing`, `subscription`.
 """

@@ -124,7 +124,6 @@ class BrokerSession(Client):
         client_id: str,
         base_topic: str = "tacshade",
         incoming_bytes_max: int = _REQUESTS_BYTES_MAX,
-        keepalive_s: int = _KEEPALIVE_S,
     ) -> None:
         # First of all: paho's `__del__` fails on what it has not initialised.
         super().__init__(
@@ -134,7 +133,7 @@ class BrokerSession(Client):
         _accept_any_answer()
         self.refused = 0
         self.__broker, self.__events = broker, events
-        self.__incoming_bytes_max, self.__keepalive_s = incoming_bytes_max, keepalive_s
+        self.__incoming_bytes_max = incoming_bytes_max
         self.__lock = threading.Lock()
         self.__topics: dict[str, SubscribeOptions] = {}
         self.__accepted = False
@@ -161,15 +160,13 @@ class BrokerSession(Client):
         """Start the network thread, which connects and reconnects until `stop`."""
         # A clean start: no broker may keep requests or frames for us while we are away.
         host, port = self.__broker["host"], self.__broker["port"]
-        self.connect_async(
-            host, port, self.__keepalive_s, clean_start=True, properties=self.__limits()
-        )
+        self.connect_async(host, port, _KEEPALIVE_S, clean_start=True, properties=self.__limits())
         self.loop_start()
 
     def open(self) -> None:
         """Connect without a thread: the caller reads and writes with `step`. Raises OSError."""
         host, port = self.__broker["host"], self.__broker["port"]
-        self.connect(host, port, self.__keepalive_s, clean_start=True, properties=self.__limits())
+        self.connect(host, port, _KEEPALIVE_S, clean_start=True, properties=self.__limits())
 
     def step(self, timeout_s: float) -> bool:
         """Send and receive once; False without a connection."""
@@ -191,6 +188,8 @@ class BrokerSession(Client):
             self.__accepted = False  # so that nobody hears of a loss
         self.disconnect()
         self.loop_stop()
+        # Otherwise the garbage collector closes these two, perhaps before paho can.
+        self._reset_sockets(sockpair_only=True)
 
     def follow(self, topics: Mapping[str, SubscribeOptions]) -> None:
         """Subscribe to these topics and no others from now on, and on each later connection;

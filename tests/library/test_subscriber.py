@@ -4,6 +4,7 @@ and the next call begins again.
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 
 import tacshade_edge as ts
 from support.mqtt_rig import Broker, free_port
+from support.patience import patience, wait_until
 from support.published_sensor import PublishedSensor, bump
 from tacshade_edge.library import subscriber
+from tacshade_edge.library.frame_assembler import FrameAssembler
 from tacshade_edge.reasons import Reason, ReasonCode
 
 pytestmark = pytest.mark.broker
@@ -26,9 +29,13 @@ def test_an_absent_broker_is_reported() -> None:
         ts.listen(f"127.0.0.1:{free_port()}", "drawn")
 
 
-def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_the_newest_wins_and_its_thread_ends_with_it(tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, PublishedSensor(broker.port) as hand:
-        before = set(threading.enumerate())
+        before, files = set(threading.enumerate()), open_files()
         with ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
             hand.show(bump(1, 2.0, 230, 320, 4))
             first = next(results)
@@ -39,10 +46,10 @@ def test_the_newest_wins_and_no_thread_is_made(tmp_path: Path) -> None:
             while last.seq < 10:
                 last = next(results)
             assert (first.seq, first.in_contact, last.in_contact) == (1, True, False)
-            assert (
-                set(threading.enumerate()) <= before
-            )  # one of the broker's or the hand's may have ended
         assert next(results, None) is None
+        # One of the broker's or the hand's may have ended.
+        assert set(threading.enumerate()) <= before
+        assert open_files() <= files
 
 
 def test_a_broker_that_went_is_reported_and_found_again(tmp_path: Path) -> None:
@@ -67,6 +74,44 @@ def test_a_broker_that_went_is_reported_and_found_again(tmp_path: Path) -> None:
             finally:
                 ended.set()
                 showing.join()
+
+
+def test_a_connection_that_comes_back_while_nobody_reads_is_no_error(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    with Broker(tmp_path) as broker, ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results:
+        broker.stop()
+        wait_until(lambda: "connection lost" in caplog.text, 10, "the loss")
+        broker.start()
+        wait_until(lambda: "connected again" in caplog.text, 10, "the return")
+        with PublishedSensor(broker.port) as hand:
+            hand.show(bump(1, 2.0, 230, 320, 8))
+            assert next(results).in_contact
+
+
+def test_a_dead_thread_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        PublishedSensor(broker.port) as hand,
+        ts.listen(f"127.0.0.1:{broker.port}", "drawn") as results,
+    ):
+        monkeypatch.delattr(FrameAssembler, "add")  # a defect of ours
+        hand.show(bump(1, 2.0, 230, 320, 8))
+        with pytest.raises(ts.DeviceError, match="receiving ended"):
+            next(results)
+
+
+def test_close_ends_a_loop_in_another_thread(tmp_path: Path) -> None:
+    with Broker(tmp_path) as broker:
+        results = ts.listen(f"127.0.0.1:{broker.port}", "drawn")
+        got: list[ts.Result] = []
+        reader = threading.Thread(target=lambda: got.extend(results))
+        reader.start()
+        results.close()
+        reader.join(patience(10))
+        assert not reader.is_alive()
+        assert got == []
 
 
 def test_silence_says_what_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
