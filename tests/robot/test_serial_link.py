@@ -16,7 +16,7 @@ from tacshade_edge.robot.framing import cobs_decode, cobs_encode
 from tacshade_edge.robot.line import parse_line, seal
 from tacshade_edge.robot.pose import PoseSample, encode_pose
 from tacshade_edge.robot.serial_link import REPLIES_KEPT, Greeted, PoseArrived, Received, SerialLink
-from tacshade_edge.robot.verbs import Command
+from tacshade_edge.robot.verbs import USAGE, Command
 from tacshade_edge.wire.results import SessionBegun
 
 VECTORS = json.loads((Path(__file__).parents[1] / "wire" / "vectors" / "serial.json").read_text())
@@ -75,9 +75,7 @@ def line_frame(text: str) -> bytes:
 
 def test_a_person_types() -> None:
     desk = Desk()
-    assert desk.send(b"help\r\n") == [
-        "OK - HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH STATUS MODE HELP; HELP VERB says more"
-    ]
+    assert desk.send(b"help\r\n") == [f"OK - {' '.join(USAGE)}; HELP VERB says more"]
     assert desk.send(b"HELP pose\r") == ["OK - POSE t x y z qw qx qy qz"]
     assert desk.send(b"status\n") == ["OK - name=done-1"]
     assert desk.send(b"status\n") == ["OK - name=done-2"]  # without a number nothing is a repeat
@@ -263,10 +261,7 @@ def test_a_lost_port_ends_a_line_and_nothing_else() -> None:
     desk.send(b"#1 HELLO 1\n#2 CAPTURE\n#3 CAPT")
     desk.link.interrupted()
     assert desk.send(b"URE\n#2 CAPTURE\n") == [
-        (
-            "ERR - VERB found URE, expected one of HELLO SYNC POSE CAPTURE REFERENCE STITCH TOUCH "
-            "STATUS MODE HELP"
-        ),
+        f"ERR - VERB found URE, expected one of {' '.join(USAGE)}",
         "OK 2 name=done-1",
     ]
     assert desk.link.counts.garbage_bytes == len("#3 CAPT")

@@ -13,9 +13,8 @@ import pytest
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.robot import verbs
 from tacshade_edge.robot.framing import cobs_encode
-from tacshade_edge.robot.line import LINE_BYTES_MAX, Line, parse_line, seal
+from tacshade_edge.robot.line import LINE_BYTES_MAX, seal
 from tacshade_edge.robot.verbs import (
     NAMES_MAX,
     TouchAsked,
@@ -187,13 +186,3 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     assert len(longest) <= event_bytes_max(LONGEST) <= LINE_BYTES_MAX
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None
     assert too_slow(TouchAsked(LONGEST, 5), 9600) is not None
-
-
-def test_a_new_verb_is_one_row_and_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(verbs.VERBS, "WINK", verbs.SerialVerb("N", 1, 1))
-    line = parse_line(b"#7 wink 3")
-    assert isinstance(line, Line)
-    command = verbs.parse_command(line, 5)
-    assert isinstance(command, verbs.Command)
-    assert (command.verb, command.args) == ("WINK", ("3",))
-    assert answer_text(7, SessionBegun("x")) == "OK 7 name=x"
