@@ -19,7 +19,7 @@ import tacshade_client.rigid
 
 import tacshade_edge.rigid
 from support.client_wheel import built, command, unpacked
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.patience import patience, wait_until
 from support.published_sensor import CRC, bump
 from tacshade_edge.wire import binary
@@ -128,7 +128,6 @@ def test_it_needs_nothing_of_the_daemon_and_offers_what_a_checkout_does(
 
 
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 @pytest.mark.parametrize("source", ["checkout", "sdist"])
 def test_it_listens_without_the_daemons_wheel(
     wheels: dict[str, Path], source: str, tmp_path: Path

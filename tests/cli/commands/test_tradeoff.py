@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import HALF, calibrated, found_prints, simulated
-from support.mqtt_rig import MOSQUITTO
 from support.painted_sensor import FREE, HEIGHT, TOUCHED, WIDTH, painted_calibration
 from support.progress_lines import only_progress, without_progress
 from support.trade_points import row
@@ -55,7 +54,6 @@ def of_own(folder: Path, *more: str) -> list[str]:
 
 @pytest.mark.slow  # it starts interpreters
 @pytest.mark.broker
-@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 def test_own_images_the_files_and_the_settings(
     own: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

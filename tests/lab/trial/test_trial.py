@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from support.mqtt_rig import MOSQUITTO, Broker, Subscriber
+from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.lab.demo import child
@@ -14,12 +14,6 @@ from tacshade_edge.lab.studies.tradeoff.measure import Promise
 from tacshade_edge.lab.trial import trial
 from tacshade_edge.lab.trial.trial import TrialBroker, Wanted, try_daemon
 from tacshade_edge.settings import load
-
-needs_broker = [
-    pytest.mark.broker,
-    pytest.mark.slow,
-    pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed"),
-]
 
 
 @pytest.fixture
@@ -46,10 +40,10 @@ def of_daemon(promise: Promise) -> None:
     assert promise.control_p99_ms > 0
 
 
+@pytest.mark.broker
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 class TestTrial:
-    pytestmark = needs_broker
-
     def test_a_hand_is_tried_through_a_private_broker(self) -> None:
         with TrialBroker(None) as broker:
             promise = try_daemon(wanted(2), broker, 1.0)
