@@ -4,11 +4,14 @@ whose size is known before they are read.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
+
+_UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def open_regular(path: str | os.PathLike[str], bytes_max: int) -> BinaryIO:
@@ -42,6 +45,15 @@ def read_regular(path: str | os.PathLike[str], bytes_max: int) -> bytes:
     with open_regular(path, bytes_max) as stream:
         # Up to the size that was checked: the file may grow meanwhile.
         return stream.read(os.fstat(stream.fileno()).st_size)
+
+
+def decoded(data: bytes) -> str:
+    """The text of a file that a person wrote: UTF-8, or UTF-16 with its byte order mark, which
+    editors of Windows begin a file with and which is no part of the text.
+
+    Raises UnicodeDecodeError.
+    """
+    return data.decode("utf-16" if data[:2] in _UTF_16 else "utf-8-sig")
 
 
 def named_file(folder: Path, name: str) -> Path:

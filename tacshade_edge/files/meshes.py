@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +37,8 @@ def read_stl(path: Path) -> F64:
     # A binary file may begin with "solid" too, but its length gives it away.
     if len(data) >= _HEAD_BYTES and len(data) == _HEAD_BYTES + count * _TRIANGLE_BYTES:
         corners = np.frombuffer(data, _TRIANGLE, offset=_HEAD_BYTES)["corners"].astype(np.float64)
-    elif data.lstrip()[:5].lower() == b"solid":
-        corners = _ascii(path, data)
+    elif (text := data.removeprefix(BOM_UTF8)).lstrip()[:5].lower() == b"solid":
+        corners = _ascii(path, text)
     else:
         raise DecodeError(
             f"{path}: found {len(data)} bytes that are neither an ASCII nor a binary STL file"

@@ -4,7 +4,6 @@ writes them.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import re
@@ -14,7 +13,7 @@ from typing import Final
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import quoted, shown
-from tacshade_edge.regular_files import read_regular
+from tacshade_edge.regular_files import decoded, read_regular
 
 ROWS_MAX: Final = 10_000
 NUMBER_MAX: Final = 1e6
@@ -28,6 +27,8 @@ _SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
 _NUMBER: Final = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
 # Columns whose commas are no decimal signs.
 _TEXTS: Final = frozenset({"image", "indenter", "group"})
+# How pandas, R and others name the numbers of rows that they write as a column of their own.
+_ROW_NUMBERS: Final = re.compile(r"|index|level_0|Unnamed: \d+(\.\d+)*")
 
 Rows = list[tuple[str, dict[str, str]]]
 """Each row's ``FILE:LINE`` and its cells by column, with decimal points;
@@ -45,10 +46,11 @@ def read_columns(
 ) -> tuple[Rows, tuple[str, ...]]:
     """Read a table as a spreadsheet writes it; returns the rows and the names of unknown columns.
 
-    The columns may be in any order, separated by ``,``, ``;`` or tabs (then a comma in a number is
-    the decimal sign), the text UTF-8 or, with its byte order mark, UTF-16. The first line may be
-    Excel's ``sep=;``. Blanks around cells, empty cells after the last column and rows without any
-    filled cell are skipped. Raises ConfigError if the file is unreadable or not CSV, a column is
+    The columns may be in any order, separated by ``,``, ``;`` or tabs, the text UTF-8 or, with its
+    byte order mark, UTF-16. The first line may be Excel's ``sep=;``. A comma in a number is the
+    decimal sign, unless other numbers of a table with ``,`` have points. Blanks around cells,
+    empty cells after the last column, rows without any filled cell and a column of row numbers, as
+    pandas writes, are skipped. Raises ConfigError if the file is unreadable or not CSV, a column is
     missing or repeated, or a row has another length; `what` names the rows.
     """
     text, delimiter = _separated(_text(path, what, rows_max * BYTES_A_ROW_MAX), required)
@@ -59,19 +61,42 @@ def read_columns(
         header.pop()
     known = (*required, *optional)
     _check_header(f"{path}:{line0}", header, required, known, delimiter)
-    rows: Rows = []
     for line, cells in lines[1:]:
         if len(cells) < len(header) or any(cells[len(header) :]):
             raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
-        found_cells = dict.fromkeys(known, "") | dict(zip(header, cells, strict=False))
-        # Spreadsheets of many countries write a decimal comma, and then separate by another sign.
-        if delimiter != ",":
-            found_cells = {
-                key: cell if key in _TEXTS else cell.replace(",", ".")
-                for key, cell in found_cells.items()
-            }
-        rows.append((f"{path}:{line}", found_cells))
-    return rows, tuple(name for name in header if name not in known)
+    numbers = [k for k, name in enumerate(header) if name in known and name not in _TEXTS]
+    # Spreadsheets of many countries write a decimal comma, and then separate by another sign or
+    # quote the number; with points elsewhere, it would separate thousands.
+    if delimiter != "," or not any("." in cells[k] for _, cells in lines[1:] for k in numbers):
+        for _, cells in lines[1:]:
+            for k in numbers:
+                cells[k] = cells[k].replace(",", ".")
+    place = {name: header.index(name) for name in known if name in header}
+    rows = [
+        (
+            f"{path}:{line}",
+            {name: cells[place[name]] if name in place else "" for name in known},
+        )
+        for line, cells in lines[1:]
+    ]
+    unknown = (
+        name
+        for k, name in enumerate(header)
+        if name not in known and not _counts_rows(name, [cells[k] for _, cells in lines[1:]])
+    )
+    return rows, tuple(unknown)
+
+
+def is_row_numbers(name: str) -> bool:
+    """Whether a column's name is one that programs give to the numbers of the rows."""
+    return _ROW_NUMBERS.fullmatch(name) is not None
+
+
+def _counts_rows(name: str, cells: Sequence[str]) -> bool:
+    # An empty column before the table is one more habit of spreadsheets.
+    return is_row_numbers(name) and all(
+        not cell or (cell.isascii() and cell.isdecimal()) for cell in cells
+    )
 
 
 def _separated(text: str, required: tuple[str, ...]) -> tuple[str, str]:
@@ -171,8 +196,6 @@ def _text(path: Path, what: str, bytes_max: int) -> str:
             f"{shown(path)}: {error.strerror or error}, expected a CSV file of {what}"
         ) from None
     try:
-        return data.decode(
-            "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
-        )
+        return decoded(data)
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not a CSV file: {error}") from None

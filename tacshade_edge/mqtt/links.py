@@ -9,7 +9,7 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.mqtt.outgoing import PayloadOutcome
-from tacshade_edge.regular_files import read_regular
+from tacshade_edge.regular_files import decoded, read_regular
 from tacshade_edge.settings import Document, Hand
 from tacshade_edge.wire.requests import Request
 
@@ -31,7 +31,7 @@ def password_in(path: str | Path, where: str) -> str:
     """The first line of a password file; `where` begins each error. Raises ConfigError."""
     try:
         # Bounded, and only a regular file: a pipe or a device may never end.
-        text = read_regular(path, _PASSWORD_BYTES_MAX).decode()
+        text = decoded(read_regular(path, _PASSWORD_BYTES_MAX))
         password = text.partition("\n")[0].rstrip("\r")
     except OSError as error:
         reason = error.strerror or str(error)

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import part
-from tacshade_edge.files.tables import BYTES_A_ROW_MAX, number, read_columns
+from tacshade_edge.files.tables import BYTES_A_ROW_MAX, is_row_numbers, number, read_columns
 from tacshade_edge.plausibility.frame_times import STEPS_JUDGED, judge_steps, judge_time_cell
 from tacshade_edge.plausibility.suspicions import SuspicionCode, suspicion
 from tacshade_edge.quoting import quoted, shown
@@ -123,13 +123,15 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
     unterminated last line is left out. Raises ConfigError for a mistake, times that do not
     increase, or no row.
     """
-    rows, last_ns, header = FrameTable(), -1, list[str]()
+    rows, last_ns, header, numbered = FrameTable(), -1, list[str](), False
     try:
         with open_regular(path, ROWS_MAX * BYTES_A_ROW_MAX) as stream:
             for count, line in enumerate(iter(lambda: stream.readline(_LINE_BYTES_MAX), b""), 1):
                 where = f"{path}:{count}"
                 if cut_off and not line.endswith(b"\n"):
                     break
+                if numbered:
+                    line = line.partition(b",")[2]
                 # Before the cells are parsed: a damaged number may look like another one.
                 columns, _, crc32 = line.rstrip(b"\r\n").rpartition(b",")
                 if header and header[-1] == CRC_COLUMN and crc32 != b"%08x" % zlib.crc32(columns):
@@ -138,7 +140,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
                 if not (cells := _cells(where, line)):
                     continue
                 if not header:
-                    header = _known_header(where, cells)
+                    numbered = is_row_numbers(cells[0])
+                    header = _known_header(where, cells[numbered:])
                     continue
                 if len(cells) != len(header):
                     raise ConfigError(
@@ -223,6 +226,9 @@ def _row(where: str, cells: list[str]) -> TableRow:
         raise ConfigError(
             f"{where}: x_mm to qz: found {7 - sum(empty)} of the 7 values, expected all or none"
         )
+    # Spreadsheets quote a number with a decimal comma.
+    if not any("." in cell for cell in pose):
+        pose = [cell.replace(",", ".") for cell in pose]
     return TableRow(
         name, int(time), Pose(int(time), *_seven(where, pose, UNIT_TOLERANCE)), int(error or "0")
     )

@@ -14,7 +14,7 @@ import yaml
 
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import shown
-from tacshade_edge.regular_files import read_regular
+from tacshade_edge.regular_files import decoded, read_regular
 
 Key = tuple[str, ...]
 _SCALARS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
@@ -160,8 +160,7 @@ def read(path: Path) -> YamlFile:
 def parse(path: Path, data: bytes) -> YamlFile:
     """Parse the content of a YAML file. Raises ConfigError like `read`."""
     try:
-        # Editors of Windows begin a file with a byte order mark.
-        text = data.decode("utf-8-sig")
+        text = decoded(data)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(

@@ -85,6 +85,12 @@ def test_only_a_regular_file_is_a_table(tmp_path: Path) -> None:
         "\ufeffsep=;\nimage;b\ntwo;1,5\n",
         "image,b\ntwo,1.5,\n",
         "image;b;;\ntwo;1,5;;;\n;;\n",
+        'image,b\ntwo,"1,5"\n',
+        ",image,b\n0,two,1.5\n",
+        "Unnamed: 0.1,Unnamed: 0,image,b\n7,7,two,1.5\n",
+        '"";image;b\n1;two;1,5\n',
+        "image,b,index\ntwo,1.5,12\n",
+        ",image,b\n,two,1.5\n",
     ],
 )
 def test_a_table_as_spreadsheets_and_people_write_it(tmp_path: Path, text: str) -> None:
@@ -93,6 +99,21 @@ def test_a_table_as_spreadsheets_and_people_write_it(tmp_path: Path, text: str) 
     found = read_columns(path, ("image", "b"), ("c",), "numbers")
     line = 3 if "sep" in text else 2
     assert found == ([(f"{path}:{line}", {"image": "two", "b": "1.5", "c": ""})], ())
+
+
+def test_a_comma_beside_decimal_points_separates_thousands(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text('image,b\ntwo,"1,234"\nthree,1.5\n')
+    rows, _ = read_columns(path, ("image", "b"), (), "numbers")
+    with pytest.raises(ConfigError, match=r"2: b: found '1,234', expected a number"):
+        number(rows[0][0], "b", rows[0][1]["b"])
+
+
+def test_a_column_of_anything_but_row_numbers_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    for name, cell in (("", "1.5"), ("", "left"), ("row", "1"), ("index", "-1")):
+        path.write_text(f"{name},image,b\n{cell},two,1\n")
+        assert read_columns(path, ("image", "b"), (), "numbers")[1] == (name,)
 
 
 LABELS_HEADER = "image,depth_mm,tilt_x_deg,tilt_y_deg,shear_x_mm,shear_y_mm\n"

@@ -164,6 +164,17 @@ def test_where_and_how_many_lines_were_left_out(tmp_path: Path) -> None:
         read_table(path)
 
 
+def test_row_numbers_and_quoted_decimal_commas_of_other_programs_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "frames.csv"
+    path.write_bytes(checked_table(3))
+    whole = read_table(path)[:]
+    lines = checked_table(3).splitlines(keepends=True)
+    path.write_bytes(b"," + lines[0] + b"".join(b"%d,%s" % (k, x) for k, x in enumerate(lines[1:])))
+    assert read_table(path)[:] == whole
+    path.write_text(PLAIN + '0.png,0,"1,5","-2",0,1,0,0,0\n')
+    assert read_table(path)[0].pose.x_mm == 1.5
+
+
 def poses_table(tmp_path: Path, *lines: str) -> Path:
     path = tmp_path / "POSES.csv"
     path.write_text("\n".join((",".join(POSES_HEADER), *lines)) + "\n")

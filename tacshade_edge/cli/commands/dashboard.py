@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, address, need
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.regular_files import read_regular
+from tacshade_edge.regular_files import decoded, read_regular
 
 ANY: Final = ("0.0.0.0", "::")
 # What is valid both in a URL and in a cookie, which the page makes of it.
@@ -167,13 +167,15 @@ def in_url(host: str) -> str:
 def read_token(path: Path) -> str | None:
     """Return the token in a file, or None if there is no file. Raises ConfigError."""
     try:
-        text = read_regular(path, _FILE_BYTES_MAX).decode("ascii", "replace").strip()
+        text = decoded(read_regular(path, _FILE_BYTES_MAX)).strip()
     except FileNotFoundError:
         return None
     except OSError as error:
         raise ConfigError(
             f"--token-file {path}: {error.strerror}, expected a readable file with the token"
         ) from None
+    except UnicodeDecodeError:
+        text = ""
     if not _TOKEN.fullmatch(text):
         expected = "expected a line of 16 to 128 letters, digits, '.', '_', '~' or '-'"
         raise ConfigError(f"--token-file {path}: found no valid token, {expected}")

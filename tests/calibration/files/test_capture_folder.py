@@ -158,8 +158,10 @@ def test_a_table_from_a_spreadsheet_is_read(tmp_path: Path) -> None:
     assert read_presses(tmp_path / "PRESSES.csv")[1] == (
         f"{tmp_path}/PRESSES.csv: ignoring unknown columns: who, force_n",
     )
-    with pytest.raises(ConfigError, match=":2: radius_mm: found '4,5', expected a number"):
-        read_presses(table(tmp_path, HEADER + 'a.png,ball,"4,5",2,,\n'))
+    quoted = 'a.png,ball,"4,5",2,,\n'
+    assert numbers(HEADER + quoted, tmp_path) == [(4.5, 2.0, None, None)]
+    with pytest.raises(ConfigError, match="3: radius_mm: found '4,5', expected a number"):
+        read_presses(table(tmp_path, HEADER + GOOD + quoted))
 
 
 def test_a_named_indenter(tmp_path: Path) -> None:
