@@ -109,6 +109,7 @@ class ReasonCode(StrEnum):
     CLOCK_DRIFT = "clock_drift"
     CLOCK_UNIT = "clock_unit"
     CLOCK_STANDS = "clock_stands"
+    POSE_UNIT = "pose_unit"
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,6 @@
 
 In: what was read, and what the sensor is or sees. Out: suspicions, as codes with values.
 Threads: none.
-Other rooms use: `frame_times`, `label_columns`, `pose_tables`, `stream_clock`,
-    `suspicions`.
+Other rooms use: `frame_times`, `hand_places`, `label_columns`, `pose_tables`,
+    `stream_clock`, `stream_places`, `suspicions`.
 """

@@ -26,6 +26,10 @@ class SuspicionCode(Enum):
     POSES_UNIT = auto()
     POSES_READING = auto()
     POSES_SCATTERED = auto()
+    PLACES_SMALL = auto()
+    PLACES_FAST = auto()
+    FINGERS_CLOSE = auto()
+    FINGERS_APART = auto()
     # Labels.
     LABEL_UNIT = auto()
     LABEL_SIGN = auto()
@@ -107,6 +111,22 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     SuspicionCode.POSES_SCATTERED: (
         "x_mm to qz: found presses that nowhere overlap, expected them to agree within "
         "{rms_mm:.2f} mm as if read otherwise: {reading}"
+    ),
+    SuspicionCode.PLACES_SMALL: (
+        "found presses {factor:.2g} times as deep as the robot moved, and all its places within "
+        "{span_mm:.2g} mm, expected x, y, z in mm: are they{unit}"
+    ),
+    SuspicionCode.PLACES_FAST: (
+        "found the robot to move at {speed_m_s:.2g} m/s and more, expected x, y, z in mm: "
+        "are they{unit}"
+    ),
+    SuspicionCode.FINGERS_CLOSE: (
+        "found {apart_mm:.2g} mm from {other}, expected sensors that do not overlap, with x, y, z "
+        "in mm: are they{unit}"
+    ),
+    SuspicionCode.FINGERS_APART: (
+        "found {apart_mm:.3g} mm from {other}, expected the sensors of one hand, with x, y, z "
+        "in mm: are they{unit}"
     ),
     SuspicionCode.LABEL_UNIT: (
         "{name} spans {span:.2g}: found labels that the frames show {factor:.3g} times as large, "

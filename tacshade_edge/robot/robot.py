@@ -27,6 +27,7 @@ from tacshade_edge.pipeline.observer import (
     SourceState,
 )
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.robot.placed_frames import PlacedFrames
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot_motion import (
     ClockExchanged,
@@ -173,6 +174,7 @@ class Robot(FrameObserver):
         self._published = b""
         self._forwarded: LineState | None = None
         self._forwarded_ns = 0
+        self._placed = PlacedFrames(self.commands.tell)
         self._stopped = threading.Event()
         self._with_pose = self._without_pose = 0
         # Two threads, `stitch` and `record`, ask for the same frame. `lru_cache` alone would let
@@ -208,7 +210,8 @@ class Robot(FrameObserver):
             state, reason, details = "away", port.reason, port.details
         else:
             silent = now_ns - line.quiet_since_ns > SILENT_NS
-            state, reason = "silent" if silent else "connected", sync.reason
+            state = "silent" if silent else "connected"
+            reason = sync.reason or self._placed.reason
             details = {**port.details, "mode": line.mode, "sync": sync.mode}
             # A port that is open but silent: the cable may end in nothing, or the robot does not
             # run.
@@ -252,6 +255,7 @@ class Robot(FrameObserver):
         if seen.reconstruction is not None:
             self.commands.observe(seen.frame, seen.reconstruction)
             self._touch.observe(seen.reconstruction)
+            self._placed.see(seen)
 
     def source_changed(self, source: SourceState) -> None:
         if source.reason:

@@ -320,6 +320,14 @@ def rate_text(found: Suspicion) -> str:
     return f"CLOCK rate={rate:g} unit={seems} expected=ns"
 
 
+def places_text(found: Suspicion) -> str:
+    """The event of places that seem to be in another unit."""
+    span_mm = float(f"{found.values['span_mm']:.2g}")
+    return (
+        f"POSE span_mm={span_mm:g} unit={str(found.values['unit']).replace('µ', 'u')} expected=mm"
+    )
+
+
 def _figure_text(name: str, value: object) -> object:
     if value is None:
         return UNKNOWN

@@ -18,6 +18,7 @@ one. With ``hand_id`` next to ``sensors`` they are the fingers of a hand, and ea
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,6 +27,8 @@ import msgspec
 import yaml
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.plausibility.hand_places import judge_fingers
+from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.section import PATH, Section, marked
@@ -92,7 +95,28 @@ def load_all(path: Path) -> tuple[Document, ...]:
     file = strict_yaml.read(path)
     # By the key alone: a mistake below it then has the line that it has in such a file.
     several = isinstance(file.value, dict) and SENSORS in file.value
-    return tuple(_document(part, several=several) for part in (split(file) if several else [file]))
+    parts = split(file) if several else [file]
+    documents = tuple(_document(part, several=several) for part in parts)
+    doubted = doubted_finger(documents)
+    if doubted is not None and doubted[1].impossible:
+        raise ConfigError(f"{doubted[0].where(FINGER)}: {doubted[1]}")
+    return documents
+
+
+def doubted_finger(
+    documents: Sequence[Document], sizes_mm: Mapping[str, float] | None = None
+) -> tuple[Document, Suspicion] | None:
+    """The finger whose place is doubted beside those of the others, and why; `sizes_mm` are those
+    of domes by sensor.
+    """
+    by_name = {each.settings.sensor_id: each for each in documents}
+    places = {
+        name: (place[0], place[1], place[2])
+        for name, each in by_name.items()
+        if (place := each.settings.hand_T_sensor) is not None
+    }
+    found = judge_fingers(places, sizes_mm or {})
+    return None if found is None else (by_name[found[0]], found[1])
 
 
 def _document(file: YamlFile, *, several: bool) -> Document:

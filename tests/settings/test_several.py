@@ -160,6 +160,12 @@ def test_a_hand_has_its_own_broker_settings_and_each_finger_its_place(tmp_path: 
             "9: sensors.index.hand_T_sensor: found a place 9e+07 mm away",
         ),
         ("[0, 0, 90,", "[0, 0, up,", "9: sensors.index.hand_T_sensor.2: found up"),
+        (
+            "[0, 0, 90,",
+            "[1.03, 2.5, -2.91,",
+            "9: sensors.index.hand_T_sensor: found 0.095 mm from thumb, expected sensors that do "
+            "not overlap, with x, y, z in mm: are they in m?",
+        ),
         ("hand_id: left\n", "", "3: sensors.thumb.hand_T_sensor: found it without hand_id"),
         ("hand_id: left\n", "hand_id: my hand\n", "1: hand_id: found my hand"),
         (

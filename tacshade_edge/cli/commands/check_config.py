@@ -12,7 +12,8 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
 from tacshade_edge.reasons import Reason
 from tacshade_edge.robot.ports import check_serial
-from tacshade_edge.settings import check_source, file_schema, load_all, load_hand
+from tacshade_edge.settings import check_source, doubted_finger, file_schema, load_all, load_hand
+from tacshade_edge.types import Calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
+    sizes_mm = dict[str, float]()
     # load_all ends at the file's first mistake; these look at what it names, each for itself.
     checks = (
         check_source,
@@ -49,6 +51,10 @@ def run(args: argparse.Namespace) -> int:
             else:
                 if isinstance(found, Reason):
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
+                elif isinstance(found, Calibration) and found.geometry.skin == "dome":
+                    sizes_mm[document.settings.sensor_id] = found.geometry.size_mm
+    if doubted := doubted_finger(documents, sizes_mm):
+        warnings.append(f"{doubted[0].where('hand_T_sensor')}: warning: {doubted[1]}")
     if hand := load_hand(args.file):
         try:
             links.check_link(hand)

@@ -37,6 +37,19 @@ def test_a_good_file_is_ok(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads(capsys.readouterr().out.partition("\n")[2]) == file_schema()
 
 
+def test_fingers_in_centimetres_are_a_warning(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration_file.save(folder / "d.npz", painted_calibration())
+    other = FINGER.replace("c.npz", "d.npz") % ""
+    text = "hand_id: left\nsensors:\n  a: " + FINGER % "" + "\n  b: " + other
+    assert check(folder, text.replace("[0, 0, 0, 1", "[0, 3, 2, 1", 1)) == 0
+    good, warning = capsys.readouterr().out.splitlines()
+    assert good == f"{folder}/s.yaml: ok"
+    assert warning.startswith(f"{folder}/s.yaml:4: sensors.b.hand_T_sensor: warning: found 3.6 mm")
+    assert warning.endswith("are they in cm?")
+
+
 def test_a_missing_calibration_is_a_warning_with_the_next_command(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
