@@ -71,10 +71,17 @@ def of_recording(recording: Path) -> Calibration | None:
     content = content_of(recording)
     if CALIBRATION_NAME not in content:
         return None
+    if recording.is_dir():
+        return load(recording / CALIBRATION_NAME, store=False)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / CALIBRATION_NAME
         path.write_bytes(content[CALIBRATION_NAME])
-        return load(path, store=False)
+        try:
+            return load(path, store=False)
+        except ConfigError as error:
+            # The file is gone when a person reads this.
+            text = str(error).replace(str(path), f"{recording}: its {CALIBRATION_NAME}")
+            raise ConfigError(text) from None
 
 
 def fits_to_renew(path: str | os.PathLike[str]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from tacshade_edge.files.atomic_files import part
 from tacshade_edge.files.tables import BYTES_A_ROW_MAX, is_row_numbers, number, read_columns
 from tacshade_edge.plausibility.frame_times import STEPS_JUDGED, judge_steps, judge_time_cell
 from tacshade_edge.plausibility.suspicions import SuspicionCode, suspicion
-from tacshade_edge.quoting import quoted, shown
+from tacshade_edge.quoting import counted, quoted, shown
 from tacshade_edge.regular_files import named_file, open_regular
 from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.types import Pose
@@ -56,7 +56,7 @@ class FrameTable(Sequence[TableRow]):
     """
 
     def __init__(self) -> None:
-        self.damaged = 0
+        self.damaged = self.zero_bytes = 0
         self.first_damaged = ""
         self.damaged_by = ""
         self.suspected = ""
@@ -79,9 +79,14 @@ class FrameTable(Sequence[TableRow]):
         """
         found = [self.suspected] if self.suspected else []
         if self.damaged:
+            why = (
+                f"found {counted(self.zero_bytes, 'zero byte')}, as after a power cut"
+                if self.zero_bytes
+                else "the checksums do not match"
+            )
             text = (
-                f"{self.first_damaged}: left out {self.damaged} damaged lines and their frames, "
-                "because the checksums do not match"
+                f"{self.first_damaged}: left out {counted(self.damaged, 'damaged line')} and their "
+                f"frames, because {why}"
             )
             found.insert(0, f"{text}; {self.damaged_by}" if self.damaged_by else text)
         return "; ".join(found)
@@ -128,6 +133,8 @@ def read_table(path: Path, *, cut_off: bool = False) -> FrameTable:
         with open_regular(path, ROWS_MAX * BYTES_A_ROW_MAX) as stream:
             for count, line in enumerate(iter(lambda: stream.readline(_LINE_BYTES_MAX), b""), 1):
                 where = f"{path}:{count}"
+                # A power cut leaves zero bytes where a file's end was not yet on the disk.
+                rows.zero_bytes += line.count(b"\0")
                 if cut_off and not line.endswith(b"\n"):
                     break
                 if numbered:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.images import SUFFIXES, images_in, read_image
-from tacshade_edge.quoting import encodable, shown
+from tacshade_edge.quoting import counted, encodable, shown
 from tacshade_edge.recording.frame_table import FrameTable, TableRow, read_table, table_in
 from tacshade_edge.recording.mcap import how_to_convert, is_mcap, mcap_frames
 from tacshade_edge.recording.recording_content import wall_minus_t_ns
@@ -57,8 +57,8 @@ class Recording:
     attribute is None where the recording has its own times. Time stamps and numbers keep growing in
     `times` passes (0 repeats endlessly). `topic` chooses among those of an MCAP file. `cut_off`:
     the writer crashed; everything it wrote before is included. `damage` is of everything but
-    images, for a person. `images` is the number of frames of one pass and `frames` that of all; 0
-    or None if unknown before the end.
+    images, for a person, and `lost` the number of images whose lines it took. `images` is the
+    number of frames of one pass and `frames` that of all; 0 or None if unknown before the end.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Recording:
         self._table = None if self._mcap else _table_beside(path, video_table=video_table)
         self._rows: FrameTable | None = None
         self._video: Video | None = None
-        self.cut_off, self.damage, self.images = False, "", 0
+        self.cut_off, self.damage, self.images, self.lost = False, "", 0, 0
         if fps is not None and (stated := path if self._mcap else self._table) is not None:
             raise ConfigError(
                 f"--fps: found {fps:g}, expected no value, "
@@ -89,6 +89,8 @@ class Recording:
             self.cut_off = self._table.suffix == ".part"
             self._rows = read_table(self._table, cut_off=self.cut_off)
             self.damage, self.images = self._rows.damage, len(self._rows)
+            if self._rows.damaged or self._rows.zero_bytes:
+                self._count_lost(self._table, self._rows)
         else:
             images, video = _look_at(path)
             self.images = len(images)
@@ -103,6 +105,15 @@ class Recording:
         passes = itertools.count() if times == 0 else range(times)
         entries = enumerate(entry for _ in passes for entry in self._one_pass())
         self._entries: Iterator[Entry] = (Entry(seq, *entry) for seq, entry in entries)
+
+    def _count_lost(self, table: Path, rows: FrameTable) -> None:
+        """Count the images of a damaged table that no line names any more."""
+        named = {row.image for row in rows}
+        images = images_in([self._path]) if self._path.is_dir() else []
+        self.lost = sum(image.name not in named for image in images)
+        if self.lost:
+            text = f"no line names {self.lost} of {counted(len(images), 'image')}, which are lost"
+            self.damage = f"{self.damage}; {text}" if self.damage else f"{table}: {text}"
 
     def read(self) -> RecordedFrame | None:
         """The next frame; None after the last.

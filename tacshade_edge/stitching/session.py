@@ -13,10 +13,12 @@ import numpy as np
 
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.files.atomic_files import disk_errors, free_name
+from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.quoting import quoted
 from tacshade_edge.reasons import ReasonCode
-from tacshade_edge.rigid import Rigid
+from tacshade_edge.rigid import Rigid, from_seven
 from tacshade_edge.stitching.map_files import press_record, write_map
+from tacshade_edge.stitching.press_agreement import suspected_poses
 from tacshade_edge.stitching.press_points import PressPoints
 from tacshade_edge.stitching.stitch_file import SessionInfo, StitchFile, open_session
 from tacshade_edge.stitching.stitcher import Raster, Stitcher
@@ -190,8 +192,22 @@ class StitchSession:
         crc32, raster = self.file.info.calibration_crc32, self._stitcher.map.raster
         return MapRevision(self.name, self.revision, self.presses, self.presses, crc32, "", raster)
 
-    def finish(self, missed: int) -> tuple[SessionEnded, MapRevision]:
-        """Make the final map and write its files, which takes seconds.
+    def suspected(self, calibration: Calibration) -> Suspicion | None:
+        """What is wrong with the poses of its presses; None if nothing is."""
+        flange_T_sensor = from_seven(calibration.flange_T_sensor)
+        sensor_T_flange = flange_T_sensor.inverse()
+        thinned = self._stitcher.thinned
+        return suspected_poses(
+            [points for points, _ in thinned],
+            [base_T_sensor @ sensor_T_flange for _, base_T_sensor in thinned],
+            flange_T_sensor,
+            calibration.geometry.size_mm,
+        )
+
+    def finish(
+        self, missed: int, suspected: Suspicion | None = None
+    ) -> tuple[SessionEnded, MapRevision]:
+        """Make the final map and write its files, which takes seconds; `suspected` is said in them.
 
         Raises DeviceError: it is still open.
         """
@@ -206,6 +222,7 @@ class StitchSession:
             "missed": missed,
             "refined": final.refined,
             "disagreement_mm": round(final.disagreement_mm, 4),
+            "suspected": "" if suspected is None else str(suspected),
             "calibration_crc32": crc32,
             "presses": [
                 {"press": k, **press_record(press)}
@@ -219,7 +236,13 @@ class StitchSession:
         area_mm2 = float(np.count_nonzero(np.isfinite(raster.z_mm))) * raster.step_mm**2
         return (
             SessionEnded(
-                self.name, self.presses, used, final.refined, final.disagreement_mm, area_mm2
+                self.name,
+                self.presses,
+                used,
+                final.refined,
+                final.disagreement_mm,
+                area_mm2,
+                *_words(suspected),
             ),
             MapRevision(
                 self.name,
@@ -231,3 +254,10 @@ class StitchSession:
                 lambda: raster,
             ),
         )
+
+
+def _words(found: Suspicion | None) -> tuple[str, str]:
+    """A suspicion's code and unit, as the serial line's ASCII words."""
+    if found is None:
+        return "", ""
+    return found.code.name.lower(), str(found.values.get("unit", "")).replace("µ", "u")

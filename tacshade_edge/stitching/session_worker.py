@@ -361,7 +361,11 @@ class Sessions(FrameObserver):
         # `status/stitching` shows it: the map takes seconds, in which nothing else is answered.
         self._ending = True
         try:
-            ended, final_map = session.finish(self._missed)
+            calibration = self._calibration
+            suspected = None if calibration is None else session.suspected(calibration)
+            if suspected is not None:
+                _log.warning("session %s: the poses: %s", session.name, suspected)
+            ended, final_map = session.finish(self._missed, suspected)
         finally:
             self._ending = False
         self._map_folder = str(session.folder)

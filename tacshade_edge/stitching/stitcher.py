@@ -270,6 +270,11 @@ class Stitcher:
         """Number of presses."""
         return len(self._presses)
 
+    @property
+    def thinned(self) -> tuple[tuple[F64, Rigid], ...]:
+        """Few points of each press (`thin_points`), and its reported pose."""
+        return tuple((press.thinned, press.reported) for press in self._presses)
+
     def add(self, points: PressPoints, base_T_sensor: Rigid) -> None:
         """Add a press at its reported pose.
 

@@ -60,7 +60,11 @@ class PressAdded(CommandResult, frozen=True):
 
 
 class SessionEnded(CommandResult, frozen=True):
-    """The session ended, and `used` of its presses are in its final map."""
+    """The session ended, and `used` of its presses are in its final map.
+
+    `suspected`: what the poses are suspected of, as a word, and `unit` the unit that they seem to
+    be in; each empty without one.
+    """
 
     name: str
     presses: int
@@ -68,13 +72,16 @@ class SessionEnded(CommandResult, frozen=True):
     refined: bool  # whether the poses were refined rather than taken as exact
     disagreement_mm: float  # RMS of the height changes that would make the presses agree
     area_mm2: float  # of the map's cells that have a height
+    suspected: str = ""
+    unit: str = ""
 
     def figures(self) -> dict[str, Any]:
         rounded = {
             "disagreement_mm": round(self.disagreement_mm, 3),
             "area_mm2": round(self.area_mm2),
         }
-        return {**asdict(self), "refined": int(self.refined), **rounded}
+        found = {**asdict(self), "refined": int(self.refined), **rounded}
+        return {key: value for key, value in found.items() if value != ""}
 
 
 class SessionAborted(CommandResult, frozen=True):

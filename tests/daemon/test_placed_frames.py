@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from support.calibrated_sensor import calibrated
-from support.robot_side import Side
 
+from support.calibrated_sensor import calibrated
+from support.patience import wait_until
+from support.robot import PtyRobot
+from support.robot_side import Side
 from tacshade_edge.pipeline.observer import FrameResult
 from tacshade_edge.types import (
     Frame,
@@ -17,8 +19,6 @@ from tacshade_edge.types import (
     Reconstruction,
     TouchedObject,
 )
-from tools.testbed.patience import wait_until
-from tools.testbed.robot import PtyRobot
 
 IMAGE = np.zeros((2, 2), np.uint8)
 

@@ -191,6 +191,28 @@ def test_a_session_from_begin_to_end(robot: Robot, ball: Reconstruction, tmp_pat
         np.testing.assert_array_equal(npz["z_mm"], robot.maps[-1].raster().z_mm)
 
 
+@pytest.mark.parametrize(
+    ("apart_mm", "suspected"), [(0.004, ("poses_close", "m")), (60.0, ("", ""))]
+)
+def test_the_end_says_what_the_poses_are_suspected_of(
+    robot: Robot,
+    ball: Reconstruction,
+    tmp_path: Path,
+    apart_mm: float,
+    suspected: tuple[str, str],
+) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN", "pad")
+    for k in range(5):
+        assert code(robot.add(ball, k * apart_mm)) is None
+    ended = robot.ask("END")
+    assert isinstance(ended, SessionEnded)
+    assert (ended.suspected, ended.unit) == suspected
+    (about,) = tmp_path.rglob("map.json")
+    said = json.loads(about.read_text())["suspected"]
+    assert ("are they in m?" in said) == bool(suspected[0])
+
+
 def test_a_folder_of_another_owner(tmp_path: Path, ball: Reconstruction) -> None:
     first = Robot(tmp_path)
     first.show(ball)

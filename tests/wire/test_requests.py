@@ -155,6 +155,19 @@ _TAKEN = {"frames": 10, "calibration_crc32": 7, "noise_grey": 0.5}
                 "area_mm2": 212,
             },
         ),
+        (
+            SessionEnded("pad", 3, 3, True, 0.5, 9.0, "poses_unit", "m"),
+            {
+                "name": "pad",
+                "presses": 3,
+                "used": 3,
+                "refined": 1,
+                "disagreement_mm": 0.5,
+                "area_mm2": 9,
+                "suspected": "poses_unit",
+                "unit": "m",
+            },
+        ),
         (ProfileChosen("fast"), {"profile": "fast"}),
         (ReferenceTaken(10, 7, 0.5), {**_TAKEN, "stored": True, "reason": "", "reason_code": ""}),
         (
@@ -175,7 +188,8 @@ def test_results_have_the_serial_lines_words_as_keys(
             key: value for key, value in written.items() if not key.startswith("reason")
         }  # a line is short
         assert {
-            key: value if key == "name" else float(value) for key, value in words.items()
+            key: value if key in ("name", "suspected", "unit") else float(value)
+            for key, value in words.items()
         } == without
 
 

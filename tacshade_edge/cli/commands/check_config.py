@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.camera.sources import make_source
@@ -12,7 +13,14 @@ from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
 from tacshade_edge.reasons import Reason
 from tacshade_edge.robot.ports import check_serial
-from tacshade_edge.settings import check_source, doubted_finger, file_schema, load_all, load_hand
+from tacshade_edge.settings import (
+    Document,
+    check_source,
+    doubted_finger,
+    file_schema,
+    load_all,
+    load_hand,
+)
 from tacshade_edge.types import Calibration
 
 
@@ -34,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(file_schema(), indent=2))
         return 0
     documents, mistakes, warnings = load_all(args.file), list[str](), list[str]()
-    sizes_mm = dict[str, float]()
+    calibrations = dict[str, Calibration]()
     # load_all ends at the file's first mistake; these look at what it names, each for itself.
     checks = (
         check_source,
@@ -51,10 +59,9 @@ def run(args: argparse.Namespace) -> int:
             else:
                 if isinstance(found, Reason):
                     warnings.append(f"{document.where('calibration')}: warning: {found}")
-                elif isinstance(found, Calibration) and found.geometry.skin == "dome":
-                    sizes_mm[document.settings.sensor_id] = found.geometry.size_mm
-    if doubted := doubted_finger(documents, sizes_mm):
-        warnings.append(f"{doubted[0].where('hand_T_sensor')}: warning: {doubted[1]}")
+                elif isinstance(found, Calibration):
+                    calibrations[document.settings.sensor_id] = found
+    warnings += _doubted_fingers(documents, calibrations)
     if hand := load_hand(args.file):
         try:
             links.check_link(hand)
@@ -68,3 +75,17 @@ def run(args: argparse.Namespace) -> int:
         make_source(document.settings.source)
     print(f"{args.file}: ok", *warnings, sep="\n")
     return 0
+
+
+def _doubted_fingers(
+    documents: Sequence[Document], calibrations: Mapping[str, Calibration]
+) -> list[str]:
+    sizes_mm = {
+        name: each.geometry.size_mm
+        for name, each in calibrations.items()
+        if each.geometry.skin == "dome"
+    }
+    if (doubted := doubted_finger(documents, sizes_mm)) is None:
+        return []
+    finger, why = doubted
+    return [f"{finger.where('hand_T_sensor')}: warning: {why}"]

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Export; return 1 if images could not be read."""
+    """Export; return 1 if images could not be read, or a damaged table has lost some."""
     if len(args.input) > 1:
         return _export_hand(args)
     (path,) = args.input
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     left_out = f", {progress.undecodable} unreadable" if progress.undecodable else ""
     frames = counted(progress.frames, "frame")
     print(f"{out}: {frames}, {progress.answers}, {progress.invalid} invalid{left_out}")
-    return 1 if progress.undecodable else 0
+    return 1 if progress.undecodable or recording.lost else 0
 
 
 def _export_hand(args: argparse.Namespace) -> int:

@@ -195,7 +195,7 @@ def _replay(args: argparse.Namespace) -> int:
             warn(f"{args.out}: stopped before the end and wrote nothing")
         # What never ends by itself is not cut short by Ctrl-C.
         return EXIT_OK if args.loop == 0 or args.play else EXIT_INTERRUPTED
-    return EXIT_FAILED if progress.undecodable else EXIT_OK
+    return EXIT_FAILED if progress.undecodable or recording.lost else EXIT_OK
 
 
 def _check_runs(args: argparse.Namespace) -> None:

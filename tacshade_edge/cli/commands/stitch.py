@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
     apex_mm = calibration.geometry.apex_z_mm
     if args.find_flange and args.recording is not None:
-        found, unread = read_contact_frames(calibration, profile, Recording(args.recording))
+        found, unread = read_contact_frames(calibration, profile, _opened(args.recording))
         for reason in unread:
             warn(f"{args.recording}: {reason.text}")
         _doubt(found, calibration, where, args)
@@ -113,9 +113,7 @@ def run(args: argparse.Namespace) -> int:
     if args.recording is None:
         presses = read_presses(calibration, profile, read_poses(args.poses), Progress())
     else:
-        presses = read_recording(
-            calibration, profile, Recording(args.recording), str(args.recording)
-        )
+        presses = read_recording(calibration, profile, _opened(args.recording), str(args.recording))
     # A press into the air is part of a scan; an image that nobody can read is a mistake.
     failed = [press for press in presses if press.failed]
     for press in failed:
@@ -133,6 +131,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{where}: found no usable press: {why}")
     _write_map(args, presses, stitcher, known)
     return EXIT_FAILED if failed else EXIT_OK
+
+
+def _opened(path: Path) -> Recording:
+    recording = Recording(path)
+    if recording.damage:
+        warn(recording.damage)
+    return recording
 
 
 def _doubt(
