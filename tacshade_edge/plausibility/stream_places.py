@@ -16,7 +16,6 @@ import numpy as np
 
 from tacshade_edge.plausibility.suspicions import Suspicion, SuspicionCode, suspicion
 from tacshade_edge.plausibility.units import LENGTHS, UnitName, nearest
-from tacshade_edge.types import F64
 
 PRESSES: Final = 3
 """So many presses in a row must agree."""
@@ -38,32 +37,54 @@ _BETWEEN: Final = 3.0
 _MOVES_MM_S: Final = 100.0
 
 
+Place = tuple[float, float, float]
+
+
+class _Box:
+    """The least box that holds some places; `span` is its longest side."""
+
+    def __init__(self) -> None:
+        self.span = 0.0
+        self._low: list[float] = []
+        self._high: list[float] = []
+
+    def take(self, at: Place) -> None:
+        if not self._low:
+            self._low, self._high = list(at), list(at)
+        for k, value in enumerate(at):
+            if value < self._low[k]:
+                self._low[k] = value
+            elif value > self._high[k]:
+                self._high[k] = value
+        self.span = max(high - low for low, high in zip(self._low, self._high, strict=True))
+
+
 class StreamPlaces:
     """The places of one sensor's frames, in their order; for one thread, but for `found`."""
 
     def __init__(self, size_mm: float) -> None:
         self.found: Suspicion | None = None
         self._depth_least_mm = _DEPTH_LEAST * size_mm
-        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
-        self._press: list[tuple[F64, float]] = []
+        self._all, self._free = _Box(), _Box()
+        self._press: list[tuple[Place, float]] = []
         self._presses: deque[tuple[float, float]] = deque(maxlen=PRESSES)
-        self._anchor: tuple[F64, int] | None = None
+        self._anchor: tuple[Place, int] | None = None
         self._speeds: deque[float] = deque(maxlen=WINDOWS)
 
-    def take(self, place_mm: tuple[float, float, float], t_ns: int, depth_mm: float | None) -> None:
+    def take(self, place_mm: Place, t_ns: int, depth_mm: float | None) -> None:
         """Take the place at a frame, and how deep it shows a press; None without contact."""
-        at = np.array(place_mm)
-        self._low, self._high = np.minimum(self._low, at), np.maximum(self._high, at)
-        self._time(at, t_ns)
-        if self._span() > SPAN_M_MAX:
+        self._all.take(place_mm)
+        self._time(place_mm, t_ns)
+        if self._all.span > SPAN_M_MAX:
             self._forgive(SuspicionCode.PLACES_SMALL)
         if depth_mm is None:
+            self._free.take(place_mm)
             press, self._press = self._press, []
             self._judge(press)
         elif len(self._press) < _SAMPLES_MOST:
-            self._press.append((at, depth_mm))
+            self._press.append((place_mm, depth_mm))
 
-    def _judge(self, press: list[tuple[F64, float]]) -> None:
+    def _judge(self, press: list[tuple[Place, float]]) -> None:
         """Judge a press that has ended."""
         if len(press) < SAMPLES_LEAST:
             return
@@ -82,21 +103,22 @@ class StreamPlaces:
             self._forgive(SuspicionCode.PLACES_SMALL)
             return
         self._presses.append((factor, float(np.ptp(along))))
-        span = self._span()
+        between_mm = _BETWEEN * max(moved for _, moved in self._presses)
         if (
             len(self._presses) == PRESSES
             and all(_is_metres(factor) for factor, _ in self._presses)
-            and _BETWEEN * max(moved for _, moved in self._presses) <= span <= SPAN_M_MAX
+            and between_mm <= self._free.span
+            and self._all.span <= SPAN_M_MAX
         ):
             self.found = suspicion(
                 SuspicionCode.PLACES_SMALL,
                 impossible=True,
-                span_mm=span,
+                span_mm=self._all.span,
                 factor=factor,
                 unit=UnitName.M,
             )
 
-    def _time(self, at: F64, t_ns: int) -> None:
+    def _time(self, at: Place, t_ns: int) -> None:
         """Judge how fast the robot seems to move."""
         if self._anchor is None or t_ns < self._anchor[1]:
             self._anchor = at, t_ns
@@ -105,7 +127,7 @@ class StreamPlaces:
         if t_ns - t0_ns < WINDOW_NS:
             return
         self._anchor = at, t_ns
-        speed_mm_s = float(np.linalg.norm(at - at0)) / ((t_ns - t0_ns) / 1e9)
+        speed_mm_s = math.dist(at, at0) / ((t_ns - t0_ns) / 1e9)
         if speed_mm_s < _MOVES_MM_S:
             return
         self._speeds.append(speed_mm_s)
@@ -115,7 +137,7 @@ class StreamPlaces:
                 SuspicionCode.PLACES_FAST,
                 impossible=True,
                 speed_m_s=min(self._speeds) / 1e3,
-                span_mm=self._span(),
+                span_mm=self._all.span,
                 unit=UnitName.MICROMETRE,
             )
         elif max(self._speeds) <= SPEED_MAX_MM_S:
@@ -127,9 +149,6 @@ class StreamPlaces:
             self._presses.clear()
         if self.found is not None and self.found.code is code:
             self.found = None
-
-    def _span(self) -> float:
-        return float((self._high - self._low).max())
 
 
 def _is_metres(factor: float) -> bool:
