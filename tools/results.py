@@ -193,6 +193,7 @@ PAGES = {
         code=("tacshade_edge/sensor/touch",),
         drawn=("touch.png",),
     ),
+    "growth": Page({"": "tools.benchmarks.growth"}),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),
     "faults": Page({"": "tools.faults table"}, code=SERVED),
 }
