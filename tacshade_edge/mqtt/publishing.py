@@ -20,6 +20,7 @@ from tacshade_edge.types import Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary, messages
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.sensor_topics import ContactEvent
+from tacshade_edge.wire.stamped_jpeg import stamped
 
 _log = logging.getLogger(__name__)
 
@@ -303,7 +304,7 @@ class Preview(FrameObserver):
         _, jpeg = cv2.imencode(
             ".jpg", cv2.resize(np.asarray(frame.image), size, interpolation=cv2.INTER_AREA)
         )
-        self._link.offer("preview", jpeg.tobytes(), frame.seq)
+        self._link.offer("preview", stamped(jpeg.tobytes(), frame.wall_ns), frame.seq)
 
     def _refuse(self, rows: int, cols: int) -> None:
         if self._refused != (rows, cols):

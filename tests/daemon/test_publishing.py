@@ -28,6 +28,7 @@ from tacshade_edge.types import Calibration, Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary
 from tacshade_edge.wire.codec import encode_json
 from tacshade_edge.wire.sensor_topics import ContactEvent
+from tacshade_edge.wire.stamped_jpeg import capture_wall_ns
 from tacshade_edge.wire.topics import decode_contact_event
 
 PERIOD_NS = 20_000_000  # 50 frames per second
@@ -376,12 +377,12 @@ def test_the_newest_frame_goes_out_once_even_of_a_contact_whose_depth_nobody_nee
     preview.publish()
     assert link.offered == []
     for seq in (3, 4):
-        preview.see(FrameResult(Frame(seq, 0, 0, pictures.touched), None, None))
+        preview.see(FrameResult(Frame(seq, 0, 10 * seq, pictures.touched), None, None))
     for away, alone in ((True, False), (False, True), (False, False), (False, False)):
         link.connected, link.listened = not away, not alone
         preview.publish()
     ((stream, jpeg, seq),) = link.offered
-    assert (stream, seq) == ("preview", 4)
+    assert (stream, seq, capture_wall_ns(jpeg)) == ("preview", 4, 40)
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED).shape == (
         240,
         WIDTH_PX,

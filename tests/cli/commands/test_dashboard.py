@@ -137,6 +137,7 @@ KINDS = {"foxglove": "foxglove", "prometheus": "prometheus_client"}
         ("dashboard", "websockets"),
         ("bridge foxglove", "foxglove"),
         ("bridge prometheus", "prometheus_client"),
+        ("bridge ros2", "zenoh"),
     ],
 )
 def test_a_missing_package_names_its_extra(
