@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections import deque
 from typing import Protocol
@@ -49,6 +50,13 @@ class FrameSource(Protocol):
         """Return the negotiated settings (format, size, rate, time stamp source),
         for ``status/camera``.
         """
+
+
+def unix_ns(t_ns: int) -> int:
+    """The Unix time of a frame captured at `t_ns` on the monotonic clock; 0 before 1970."""
+    # A clock that has just been set to 0 was not there yet when the frame was captured, and the
+    # messages' times have no sign.
+    return max(0, time.time_ns() - (time.monotonic_ns() - t_ns))
 
 
 # Long enough that a lost frame hardly moves the period, short enough that a camera which changes

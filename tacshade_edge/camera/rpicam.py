@@ -22,7 +22,7 @@ import time
 import numpy as np
 
 from tacshade_edge.camera.csi_camera import PROGRAM
-from tacshade_edge.camera.frame_source import Camera, FrameGaps
+from tacshade_edge.camera.frame_source import Camera, FrameGaps, unix_ns
 from tacshade_edge.camera.v4l2_node import Control, Lock
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import ReasonCode
@@ -193,9 +193,8 @@ class RpicamSource(Camera):
         }
 
     def _framed(self, image: U8, record: dict[str, str]) -> Frame:
-        now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-        t_ns = self._date(_stamp_ns(record), now_ns)
-        return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
+        t_ns = self._date(_stamp_ns(record), time.monotonic_ns())
+        return Frame(self._seq, t_ns, unix_ns(t_ns), image)
 
 
 class _Stream:

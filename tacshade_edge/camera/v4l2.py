@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.camera import v4l2_node
-from tacshade_edge.camera.frame_source import Camera, FrameGaps
+from tacshade_edge.camera.frame_source import Camera, FrameGaps, unix_ns
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
 from tacshade_edge.files.image_bytes import decode_image
 from tacshade_edge.reasons import ReasonCode
@@ -216,8 +216,7 @@ class V4l2Source(Camera):
             grabbed = False
             # Between grab and decoding: a JPEG takes milliseconds, which are not the age of the
             # frame.
-            now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-            t_ns = self._date(_kernel_stamp_ns(capture), now_ns)
+            t_ns = self._date(_kernel_stamp_ns(capture), time.monotonic_ns())
             ok, raw = capture.retrieve()
             image = (
                 decode(np.asarray(raw, np.uint8).reshape(-1), self._fourcc, *self._shape)
@@ -225,7 +224,7 @@ class V4l2Source(Camera):
                 else None
             )
             if image is not None:
-                return Frame(self._seq, t_ns, wall_ns - (now_ns - t_ns), image)
+                return Frame(self._seq, t_ns, unix_ns(t_ns), image)
             size = raw.size if ok else 0
             self._dropped += 1
         asked = f"{self._shape[1]}x{self._shape[0]} {self._fourcc}"

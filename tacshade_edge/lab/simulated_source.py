@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
+from tacshade_edge.camera.frame_source import unix_ns
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.lab.simulator.script import demonstration
@@ -64,8 +65,7 @@ class SimulatedSource:
         image = self._draw(seq)
         t_ns = self._wait(seq)
         # The wall clock may jump; its time of this frame follows from the clock that does not.
-        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=image)
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=unix_ns(t_ns), image=image)
 
     def skip(self) -> bool:
         """Wait until the next frame is due, and do not draw it."""

@@ -27,7 +27,8 @@ ERROR_COLUMN, CRC_COLUMN = "pose_error_us", "crc32"
 # Optional: older tables have neither, or only the first.
 MORE = (ERROR_COLUMN, CRC_COLUMN)
 TABLE_NAME = "frames.csv"
-# A looped recording continues from its last time, and the wire format holds 64 bits.
+# A looped recording continues from its last time, and the wire format holds 64 bits
+# (`recording`).
 T_NS_MAX = 2**62
 # 9.7 h at 60 frames/s.
 ROWS_MAX = 1 << 21

@@ -10,17 +10,26 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.images import SUFFIXES, images_in, read_image
 from tacshade_edge.quoting import counted, encodable, shown
-from tacshade_edge.recording.frame_table import FrameTable, TableRow, read_table, table_in
+from tacshade_edge.recording.frame_table import (
+    T_NS_MAX,
+    FrameTable,
+    TableRow,
+    read_table,
+    table_in,
+)
 from tacshade_edge.recording.mcap import how_to_convert, is_mcap, mcap_frames
 from tacshade_edge.recording.recording_content import wall_minus_t_ns
 from tacshade_edge.recording.video import DEFAULT_FPS, Video
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.types import U8, Frame
+
+# With it, the latest time of a table or a file still fits in the 64 bits of the wire format.
+_SHIFT_MAX_NS: Final = 2**64 - 1 - 2 * T_NS_MAX
 
 Picture = Callable[[], U8]
 """Reads an image when its turn comes. Raises DecodeError."""
@@ -164,18 +173,22 @@ class Recording:
             pose = None if row.pose is None else replace(row.pose, t_ns=t_ns)
             yield replace(row, t_ns=t_ns, pose=pose), picture, wall_ns + self._shift_ns
         # The next pass begins a mean period after this one's last frame.
-        self._shift_ns += (
-            last_ns
-            - first_ns
-            + round((last_ns - first_ns) / (count - 1) if count > 1 else self._period_ns)
+        length_ns = last_ns - first_ns
+        self._shift_ns += length_ns + round(
+            length_ns / (count - 1) if count > 1 else self._period_ns
         )
+        if self._shift_ns > _SHIFT_MAX_NS:
+            found = f"found a length of {length_ns} ns, expected one that can be repeated"
+            raise ConfigError(f"{shown(self._path)}: {found} within 64 bits")
 
     def _items(self) -> Iterator[tuple[TableRow, Picture, int]]:
         if self._mcap is not None:
             yield from self._mcap
             return
         for row, picture in self._files():
-            yield row, picture, row.t_ns + self._wall_minus_t_ns
+            # Times that somebody has rewritten no longer go with the stored clocks; no Unix time
+            # has a sign.
+            yield row, picture, max(0, row.t_ns + self._wall_minus_t_ns)
 
     def _files(self) -> Iterator[tuple[TableRow, Picture]]:
         if self._rows is not None and self._path.is_dir():

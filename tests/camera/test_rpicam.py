@@ -5,6 +5,7 @@ nothing here was run on a board.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,13 @@ def test_the_luma_of_each_frame_and_the_sensors_time(stand_in: Callable[..., Non
         "gain": 2.0,
     }
     assert described["fps_measured"] == pytest.approx(50, rel=0.01)
+
+
+def test_a_clock_that_was_set_to_1970_gives_no_time_before_it(
+    stand_in: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    assert [frame.wall_ns for frame in frames(source(), 2)] == [0, 0]
 
 
 def test_frames_that_are_skipped_are_counted_on(stand_in: Callable[..., None]) -> None:

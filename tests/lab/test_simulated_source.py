@@ -44,6 +44,16 @@ def test_frames_come_at_their_time_stamps_one_period_apart() -> None:
     camera.close()
 
 
+def test_a_clock_that_was_set_to_1970_gives_no_time_before_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    camera = source()
+    camera.open()
+    assert camera.read().wall_ns == 0
+    camera.close()
+
+
 def test_what_was_not_read_in_time_is_dropped_and_counted() -> None:
     camera = source(fps=1000.0)
     camera.open()

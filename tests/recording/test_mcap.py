@@ -201,6 +201,19 @@ def test_what_is_said_of_a_frame_is_bounded_before_it_is_used(
     assert len(refused[0]) < 500
 
 
+def test_a_unix_time_of_64_bits_is_refused(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    writer = McapWriter(stream, "left")
+    for seq, wall_ns in enumerate((WALL_NS, 2**64 - 1, WALL_NS + 1)):
+        writer.frame(f"{seq}.png", frame(seq), png_of(picture(seq)), wall_ns)
+    writer.finish()
+    frames, refused = read_all(Recording(_written(tmp_path, stream.getvalue())))
+    assert [recorded.wall_ns for recorded in frames] == [WALL_NS, WALL_NS + 1]
+    assert [line.rpartition(": ")[2] for line in refused] == [
+        "found the time 18446744073709551615, expected at most 2^62 ns"
+    ]
+
+
 def test_a_file_of_several_that_is_none_is_reported_and_the_others_are_read(tmp_path: Path) -> None:
     (tmp_path / "000.mcap").write_bytes(ours(3))
     (tmp_path / "001.mcap.part").write_bytes(b"")

@@ -255,6 +255,26 @@ def test_times_are_whole_numbers_within_bounds(tmp_path: Path, number: str) -> N
     assert [event.data["wall_ns"] for event in events_in(content_of(tmp_path))][-1] == 105
 
 
+def test_a_frame_before_1970_has_no_sign(folder: Path) -> None:
+    about = {"first_wall_ns": 10_000_000, "first_t_ns": 20_000_000}
+    (folder / "recording.json").write_text(json.dumps(about))
+    frames = every(Recording(folder))
+    assert [(r.frame.t_ns, r.wall_ns) for r in frames] == [
+        (500, 0),
+        (10_000_500, 500),
+        (20_000_500, 10_000_500),
+    ]
+
+
+def test_a_recording_of_a_hundred_years_is_not_repeated_beyond_64_bits(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "long", [picture(0), picture(1)], 2**61)
+    loops = Recording(path, times=0)
+    times = [frame.frame.t_ns for _ in range(4) if (frame := loops.read())]
+    assert times == [500 + k * 2**61 for k in range(4)]
+    with pytest.raises(ConfigError, match=r"long: found a length of \d+ ns, expected one that can"):
+        every(loops)
+
+
 def test_what_is_too_large_is_refused(tmp_path: Path) -> None:
     lines = [json.dumps({"t_ns": 1, "kind": kind, "data": {}}) for kind in ("a", "b" * 70_000, "c")]
     assert [event.kind for event in events_in({"events.jsonl": "\n".join(lines).encode()})] == [

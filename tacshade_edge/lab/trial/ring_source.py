@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.camera.frame_source import unix_ns
 from tacshade_edge.types import U8, Frame
 
 
@@ -30,10 +31,8 @@ class RingSource:
     def read(self) -> Frame:
         """Wait until the next frame is due; its time stamp is that time."""
         seq, t_ns = self._wait()
-        wall_ns = time.time_ns() - (time.monotonic_ns() - t_ns)
-        return Frame(
-            seq=seq, t_ns=t_ns, wall_ns=wall_ns, image=self._images[seq % len(self._images)]
-        )
+        image = self._images[seq % len(self._images)]
+        return Frame(seq=seq, t_ns=t_ns, wall_ns=unix_ns(t_ns), image=image)
 
     def skip(self) -> bool:
         """Wait until the next frame is due."""

@@ -123,6 +123,7 @@ class McapFrames:
                     raise found
                 where = f"{shown(path)}: message {count} of {shown(self.topic)}: "
                 schema, encoding, message, about = found
+                wall_ns = _bounded(message.log_time) if self._is_ours else taken_ns
                 row = self._row(count, message, about, taken_ns)
                 # Equal times are many programs' way to have none; our own differ.
                 if row.t_ns < last_ns + self._is_ours:
@@ -134,7 +135,6 @@ class McapFrames:
                     return
                 continue
             last_ns = row.t_ns
-            wall_ns = message.log_time if self._is_ours else taken_ns
             yield row, self._picture(where, (schema, encoding, message.data)), wall_ns
 
     def _in_order(
@@ -177,9 +177,7 @@ class McapFrames:
         taken_ns = stamp_ns if self._is_stamped else message.log_time
         if self._is_stamped and taken_ns <= 0:
             raise DecodeError("found no time in its header, expected one as in the first message")
-        if taken_ns > T_NS_MAX:
-            raise DecodeError(f"found the time {taken_ns}, expected at most 2^62 ns")
-        return taken_ns
+        return _bounded(taken_ns)
 
     def _picture(self, where: str, content: tuple[str, str, bytes] | DecodeError) -> Picture:
         def picture() -> U8:
@@ -273,6 +271,13 @@ class McapFrames:
                 f"qw, qx, qy, qz: found a quaternion of length {norm:.4g}, expected length 1"
             )
         return TableRow(about.image, about.t_ns, pose, about.pose_error_us)
+
+
+def _bounded(t_ns: int) -> int:
+    """A file's time, which has 64 bits. Raises DecodeError for one that ours do not hold."""
+    if t_ns > T_NS_MAX:
+        raise DecodeError(f"found the time {t_ns}, expected at most 2^62 ns")
+    return t_ns
 
 
 def _topic_of(paths: Sequence[Path], wanted: str | None) -> tuple[str, bool]:
