@@ -33,7 +33,9 @@ the rest stays free for answers and other events.
 _BITS_PER_BYTE: Final = 10  # with start and stop bit
 _BINARY_MORE: Final = 2  # an L, a byte of COBS and the zero, in place of the LF
 _VALUE_BYTES_MAX: Final = 8
+# A robot has 32 bits for a frame's number, as a message's header has.
 _SEQ_MAX: Final = 2**32 - 1
+_FRAME: Final = "frame"
 UNKNOWN: Final = "-"
 """An unknown value."""
 _THREE_DECIMALS: Final = ("depth_mm", "disagreement_mm")
@@ -86,14 +88,14 @@ class TouchSeen:
         state = " touched=1" if self.touched else "" if self.contact else " contact=0"
         if not self.valid:
             state = " invalid=1"
-        return f"TOUCH {self.seq} {self.t_ns}{state}" + "".join(
+        return f"TOUCH {self.seq & _SEQ_MAX} {self.t_ns}{state}" + "".join(
             f" {name}={_value_text(v)}" for name, v in self.values
         )
 
 
 def object_text(seq: int, t_ns: int, name: str, probability: float) -> str:
     """The event that names an object."""
-    return f"OBJECT {seq} {t_ns} {name} {probability:.3f}"
+    return f"OBJECT {seq & _SEQ_MAX} {t_ns} {name} {probability:.3f}"
 
 
 # -- the arguments ---------------------------------------------------------------------------------
@@ -333,6 +335,8 @@ def _figure_text(name: str, value: object) -> object:
         return UNKNOWN
     if name in _THREE_DECIMALS:
         return f"{value:.3f}"
+    if name == _FRAME and isinstance(value, int):
+        return value & _SEQ_MAX
     return int(value) if isinstance(value, bool) else value
 
 

@@ -21,6 +21,7 @@ from tacshade_edge.robot.verbs import (
     TouchSeen,
     answer_text,
     event_bytes_max,
+    object_text,
     parse_touch,
     ready_text,
     too_slow,
@@ -186,3 +187,13 @@ def test_a_line_that_cannot_carry_the_events_refuses_with_the_rate_that_it_can()
     assert len(longest) <= event_bytes_max(LONGEST) <= LINE_BYTES_MAX
     assert too_slow(TouchAsked(LONGEST, 4), 9600) is None
     assert too_slow(TouchAsked(LONGEST, 5), 9600) is not None
+
+
+@pytest.mark.parametrize("seq", [2**32, 10 * 365 * 86_400 * 60])
+def test_a_frame_has_a_number_of_32_bits(seq: int) -> None:
+    names = tuple((name, -1000.0001) for name in LONGEST)
+    seen = TouchSeen(seq, 2**63 - 1, False, names)
+    assert seen.text().split()[1] == str(seq % 2**32)
+    assert object_text(seq, 5, "cup", 1.0) == f"OBJECT {seq % 2**32} 5 cup 1.000"
+    for figures in (FrameCaptured(seq, 5, False, None, None, 0, None), PressAdded(3, seq, 7)):
+        assert f" frame={seq % 2**32} " in f"{answer_text(1, figures)} "
