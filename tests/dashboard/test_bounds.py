@@ -139,6 +139,7 @@ def test_text_and_tables_are_cut_before_anything_is_drawn_of_them() -> None:
                 (info(camera_distance_mm=None, f_px=None),),
                 ({"geometry": None},),
                 ({},),
+                (info(image_width_px=8192, image_height_px=2048, radius_px=4096),),
                 (
                     info(
                         skin="pad",
@@ -224,3 +225,14 @@ def test_what_cannot_be_drawn_is_refused(check: str, sound: list[Any], hostile: 
         for one, answer in zip(hostile, given[len(sound) :], strict=True)
         if "error" not in answer
     ] == []
+
+
+def test_of_ten_thousand_objects_the_first_are_named() -> None:
+    none, few, many = answers(
+        ("objectsIn", []),
+        ("objectsIn", [2, 1, 2, 10]),
+        ("objectsIn", list(range(10_000, 0, -1))),
+    )
+    assert none["value"] == {"shown": [], "more": 0}
+    assert few["value"] == {"shown": [1, 2, 10], "more": 0}
+    assert many["value"] == {"shown": list(range(1, 65)), "more": 9936}

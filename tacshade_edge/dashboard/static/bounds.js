@@ -3,15 +3,15 @@
 
 export const TEXT_MAX = 300, ENTRIES_MAX = 100, PARTS_MAX = 32, SENSORS_MAX = 64, FINGERS_MAX = 16;
 const BYTES_MAX = 1 << 20, DEPTH_MAX = 6;
-const SIDE_MAX = 4096, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
+const SIDE_MAX = 4096, IMAGE_SIDE_MAX = 8192, AWAY_MAX_PX = 1 << 16, SCALE_MAX_MM = 1000;
 const OBJECTS_MAX = 64, QUANTITIES_MAX = 32, QUANTITY_MAX = 1e6;
 const NAME = /^[A-Za-z0-9_-]{1,64}$/;
 const OBJECT = /^[A-Za-z0-9_.-]{1,64}$/;
 const NUMBERS_OF_CONTACT = ["contact", "seq", "depth_max_mm", "area_mm2", "volume_mm3", "objects", "x_mm", "y_mm", "slip", "fps", "touched"];
 const NUMBERS_OF_REPLAY = ["position_s", "length_s", "speed", "frame"];
 const GEOMETRY = { // minimum and maximum; a camera without a distance is orthographic
-  mm_per_px: [1e-6, 1000], radius_px: [1, SIDE_MAX],
-  row_c: [-AWAY_MAX_PX, AWAY_MAX_PX], col_c: [-AWAY_MAX_PX, AWAY_MAX_PX], image_height_px: [1, SIDE_MAX], image_width_px: [1, SIDE_MAX],
+  mm_per_px: [1e-6, 1000], radius_px: [1, IMAGE_SIDE_MAX],
+  row_c: [-AWAY_MAX_PX, AWAY_MAX_PX], col_c: [-AWAY_MAX_PX, AWAY_MAX_PX], image_height_px: [1, IMAGE_SIDE_MAX], image_width_px: [1, IMAGE_SIDE_MAX],
 };
 const OF_A_DOME = { skin_radius_mm: [0.1, 1e4], visible_half_angle_deg: [1e-3, 90] }, OF_A_PAD = { visible_radius_mm: [1e-3, 1e4] };
 const OF_A_PINHOLE = { camera_distance_mm: [-1e4, 1e6], f_px: [1e-3, 1e6] };
@@ -95,6 +95,12 @@ export function checkTouch(message) {
     if (touch[name] !== null || sigma[name] !== null) within({ value: touch[name], sigma: sigma[name] }, { value: [-QUANTITY_MAX, QUANTITY_MAX], sigma: [0, QUANTITY_MAX] });
   }
   return message;
+}
+
+/** The objects' numbers in a cloud's labels, at most `OBJECTS_MAX` in order, and how many more there are. */
+export function objectsIn(labels) {
+  const numbers = [...new Set(labels)].sort((a, b) => a - b);
+  return { shown: numbers.slice(0, OBJECTS_MAX), more: Math.max(numbers.length - OBJECTS_MAX, 0) };
 }
 
 /** A `status/<part>`; the page computes with the numbers of a replay. */

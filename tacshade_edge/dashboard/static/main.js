@@ -1,6 +1,6 @@
 // The page: the sensors, the data of the chosen one, and when to draw it.
 
-import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkObject, checkPart, checkTouch, cut, read } from "./bounds.js";
+import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkObject, checkPart, checkTouch, cut, objectsIn, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
 import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
@@ -358,16 +358,16 @@ function drawStitched() {
 
 function updateObjects(cloud) {
   skin.setCloud(cloud);
-  const counts = new Map();
-  for (const label of cloud?.labels ?? []) counts.set(label, (counts.get(label) ?? 0) + 1);
-  const key = [...counts.keys()].join();
+  const { shown, more } = objectsIn(cloud?.labels ?? []), key = `${shown} ${more}`;
   if (key === $("objects").dataset.key) return;
   $("objects").dataset.key = key;
-  $("objects").replaceChildren(...[...counts.keys()].sort((a, b) => a - b).map((label) => {
+  const spans = shown.map((label) => {
     const dot = element("i", { className: "dot" });
     dot.style.background = objectColour(label);
     return element("span", {}, dot, `object ${label} `);
-  }));
+  });
+  if (more > 0) spans.push(element("span", {}, `and ${more} more`));
+  $("objects").replaceChildren(...spans);
 }
 
 function updateFlags(flags) {

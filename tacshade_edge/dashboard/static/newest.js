@@ -19,7 +19,7 @@ export function partOfMap(view, what, decoded) {
     view[what] = null;
   } else if (payload && seq !== null) {
     const of = new DataView(payload.buffer, payload.byteOffset).getUint32(SEQ_AT, true);
-    if (of <= seq) view[what] = null;
+    if (((of - seq) | 0) <= 0) view[what] = null; // the number after 2^32 - 1 is 0
     if (of === seq) {
       with_map[what] = seq;
       return decoded(payload, VALUES[what]) ?? undefined;
@@ -30,9 +30,9 @@ export function partOfMap(view, what, decoded) {
   return null;
 }
 
-/** Keep a message with numbers until its map is drawn. */
+/** Keep a message with numbers until its map is drawn, whose header has 32 bits of the frame's number. */
 export function keep(messages, message) {
-  messages.set(message.seq, message);
+  messages.set(message.seq >>> 0, message);
   if (messages.size > MESSAGES_KEPT) messages.delete(messages.keys().next().value);
 }
 
