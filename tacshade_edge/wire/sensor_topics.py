@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from ..rigid import from_seven
 from ..types.geometry import Disc, Geometry, Skin
-from .bounds import Code, Count, Key, Number, Rate, SevenNumbers, SlipCode
+from .bounds import Code, Count, Key, Number, Rate, SevenNumbers, SlipCode, Volume
 
 _Numbers = Annotated[dict[Key, Number | None], Meta(max_length=64)]
 _Sigmas = Annotated[dict[Key, Annotated[float, Meta(ge=0, le=1e6)] | None], Meta(max_length=64)]
@@ -112,7 +112,7 @@ class Contact:
     contact: Annotated[int, Meta(ge=0, le=1)] | None
     depth_max_mm: Number | None = None
     area_mm2: Rate | None = None
-    volume_mm3: Rate | None = None
+    volume_mm3: Volume | None = None
     objects: Count | None = 0
     x_mm: Number | None = None
     y_mm: Number | None = None
@@ -196,7 +196,7 @@ class ContactEvent:
     start_ns: Count
     end_ns: Count | None = None
     depth_max_mm: Number | None = None
-    volume_mm3: Rate | None = None
+    volume_mm3: Volume | None = None
     shear_mm: Rate | None = None
     slip: SlipCode | None = None
     objects: Count | None = None

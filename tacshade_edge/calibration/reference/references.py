@@ -19,7 +19,7 @@ from tacshade_edge.sensor.contact.gate import GATE_MM2, ContactGate
 from tacshade_edge.sensor.frame_check import camera_drift, picture, plain_judges
 from tacshade_edge.sensor.frame_check.camera_drift import Drift
 from tacshade_edge.sensor.frame_check.picture import DRIFT_LEVELS
-from tacshade_edge.sensor.geometry.disc import disc_mask
+from tacshade_edge.sensor.geometry.disc import disc_mask, least_area_mm2
 from tacshade_edge.sensor.image import greyscale
 from tacshade_edge.sensor.image.preprocess import Preprocessor
 from tacshade_edge.sensor.image.white import eighth
@@ -296,7 +296,8 @@ def g_change(old: Preprocessor, new: Preprocessor) -> tuple[float, float]:
     # Ageing light moves all cells alike, a load only some: the median is the former.
     common = float(np.median(g_d))
     beside = np.sort(g_d - common)
-    cells = min(math.ceil(GATE_MM2 / old.cell_mm2), beside.size)
+    least_mm2 = least_area_mm2(GATE_MM2, old.calibration.geometry)
+    cells = min(math.ceil(least_mm2 / old.cell_mm2), beside.size)
     return common, max(float(beside[-cells]), -float(beside[cells - 1]), 0.0)
 
 

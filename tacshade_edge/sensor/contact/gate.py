@@ -12,6 +12,7 @@ import math
 import cv2
 import numpy as np
 
+from tacshade_edge.sensor.geometry.disc import least_area_mm2
 from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.sensor.profiles import GATE
 from tacshade_edge.types import F32, U8, Calibration
@@ -24,7 +25,7 @@ at 640x480 and 0.23 at 320x240.
 """
 PLAIN_PART, PLAIN_NOISE = 0.13, 24.0  # the same, for a contact where no network decides
 SURE_PART = 0.3  # part of the pixels beyond which no network need decide whether there is a contact
-GATE_MM2 = 3.0  # least area of skin that has changed
+GATE_MM2 = 3.0  # least area of skin that has changed (`least_area_mm2`)
 
 
 class ContactGate:
@@ -46,7 +47,8 @@ class ContactGate:
         noise = preprocessor.calibration.noise_grey / 255
         self.least_part = GATE_PART + GATE_NOISE * noise
         self.plain_part = PLAIN_PART + PLAIN_NOISE * noise
-        self._cells = max(math.ceil(GATE_MM2 / preprocessor.cell_mm2), 1)
+        least_mm2 = least_area_mm2(GATE_MM2, preprocessor.calibration.geometry)
+        self._cells = max(math.ceil(least_mm2 / preprocessor.cell_mm2), 1)
 
     def changed_part(self, preprocessed: Preprocessed) -> float:
         """The part of the pixels that changed in the windows of at least `GATE_MM2` of skin."""

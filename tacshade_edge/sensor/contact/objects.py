@@ -15,7 +15,12 @@ import numpy as np
 
 from tacshade_edge.sensor.contact.parting import part_objects
 from tacshade_edge.sensor.depth.solver import Depth
-from tacshade_edge.sensor.geometry.disc import DiscRays, cell_area_mm2, skin_planes
+from tacshade_edge.sensor.geometry.disc import (
+    DiscRays,
+    cell_area_mm2,
+    least_area_mm2,
+    skin_planes,
+)
 from tacshade_edge.sensor.profiles import KMEANS, NETWORK, Outline
 from tacshade_edge.types import (
     F32,
@@ -31,7 +36,7 @@ from tacshade_edge.types import (
 
 TWIST_CELLS = 6  # least number of cells for a twist
 BINS = 256
-MIN_OBJECT_MM2 = 0.5  # smaller patches are no objects
+MIN_OBJECT_MM2 = 0.5  # smaller patches are no objects (`least_area_mm2`)
 LABELS_MAX = np.iinfo(np.uint16).max
 
 Box = tuple[slice, slice]
@@ -136,7 +141,8 @@ def find_objects(
     planes = skin_planes(height, rays.part(box), geometry)
     area = cell_area_mm2(planes)
     logit = None if contact_logit is None else contact_logit[box]
-    labels = label_objects(contact[box], area, planes, logit)
+    least_mm2 = least_area_mm2(MIN_OBJECT_MM2, geometry)
+    labels = label_objects(contact[box], area, planes, logit, least_mm2)
     return _objects(labels, box, height_mm, shear_mm, planes, area)
 
 
@@ -217,11 +223,15 @@ def two_means_split(values: F32) -> float:
 
 
 def label_objects(
-    contact: Bool, cell_area: F32, planes_mm: F32, contact_logit: F32 | None = None
+    contact: Bool,
+    cell_area: F32,
+    planes_mm: F32,
+    contact_logit: F32 | None = None,
+    least_mm2: float = MIN_OBJECT_MM2,
 ) -> U16:
     """Number the objects, which are connected contacts (8-neighbours) or parts of them, from 1, the
     largest area first: uint16 (rows, cols), from cells of `cell_area` mm²; 0 outside, in patches
-    below 0.5 mm², and beyond the 65535 objects that a cloud can number.
+    below `least_mm2`, and beyond the 65535 objects that a cloud can number.
     """
     count, raw = cv2.connectedComponents(contact.view(np.uint8), connectivity=8)
     count = part_objects(raw, count, planes_mm, cell_area, contact_logit)
@@ -229,7 +239,7 @@ def label_objects(
     areas[0] = 0.0
     # Stable, so that equal areas keep the order of the scan on every processor.
     order = (-areas).argsort(kind="stable")
-    order = order[: min(np.count_nonzero(areas >= MIN_OBJECT_MM2), LABELS_MAX)]
+    order = order[: min(np.count_nonzero(areas >= least_mm2), LABELS_MAX)]
     new_label = np.zeros(count, dtype=np.uint16)
     new_label[order] = np.arange(1, len(order) + 1)
     labels: U16 = new_label.take(raw)

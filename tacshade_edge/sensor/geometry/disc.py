@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,8 @@ import numpy.typing as npt
 from ...types.geometry import F32, F64, U16, Bool, Disc, Geometry, frozen
 
 Value = TypeVar("Value", bound=np.generic)
+USUAL_MM: Final = 8.0
+"""Radius of the visible circle of the smallest sensors that people build for a hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +210,13 @@ def cell_area_mm2(planes_mm: F32) -> F32:
     area: F32 = np.add.reduce(normal, axis=0)
     # `fmax` takes the number beside a NaN, `maximum` would take the NaN.
     return np.fmax(np.sqrt(area, out=area), np.float32(0), out=area)
+
+
+def least_area_mm2(usual_mm2: float, geometry: Geometry) -> float:
+    """A least area, mm², that is `usual_mm2` on sensors of usual size, and on smaller ones the same
+    part of what they see as on the smallest of those.
+    """
+    return usual_mm2 * min(1.0, (geometry.visible_radius_mm / USUAL_MM) ** 2)
 
 
 def _steps(planes: F32, axis: int) -> F32:
