@@ -109,6 +109,27 @@ def one_at_a_time(path: Path, command: str, doing: str) -> Iterator[None]:
         os.close(descriptor)
 
 
+@contextlib.contextmanager
+def owned_folder(folder: Path, command: str) -> Iterator[None]:
+    """Make a folder, and keep other processes that ask for the same away until the block ends. If
+    nothing is in it then, it is removed again.
+
+    Raises DeviceError, as `check_folder` and `one_at_a_time` do.
+    """
+    check_folder(folder)
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    with disk_errors(folder):
+        # First: the lock of a folder lies in it.
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with one_at_a_time(folder, command, "writing"):
+            yield
+    finally:
+        for path in missing:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+
+
 def _locked(lock: Path, path: Path, command: str) -> int:
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     while True:

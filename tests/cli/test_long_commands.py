@@ -5,6 +5,7 @@ what it reads, and whether it can write. Here, the work of each fails the test i
 from __future__ import annotations
 
 import importlib
+import os
 import shutil
 from collections import namedtuple
 from importlib.util import find_spec
@@ -19,6 +20,7 @@ from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.recordings import record_hand, write_recording
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, EXIT_USAGE, main
+from tacshade_edge.files.targets import owned_folder
 
 _Usage = namedtuple("_Usage", "total used free")
 COMMANDS = "tacshade_edge.cli.commands"
@@ -278,6 +280,18 @@ def test_a_folder_that_cannot_be_written_ends_a_command_before_its_work(
     said = one_line([*line.split(), str(out)], EXIT_FAILED, capsys)
     assert str(out) in said or "file: cannot write it: Not a directory" in said
     assert out.exists() == (bad in ("file", "inside"))
+
+
+@pytest.mark.parametrize("line", TO_FOLDER)
+def test_a_second_one_in_a_folder_is_told_who_writes_there(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new"
+    with owned_folder(out, "demo"):
+        said = one_line([*line.split(), str(out)], EXIT_FAILED, capsys)
+        assert f"another demo (pid {os.getpid()}) is writing {out} since " in said
+        assert len(list(out.iterdir())) == 1  # the lock's file
+    assert not out.exists()
 
 
 def test_the_objects_file_is_looked_at_before_a_touch(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.files.targets import check_file, check_folder, one_at_a_time
+from tacshade_edge.files.targets import check_file, check_folder, one_at_a_time, owned_folder
 from tacshade_edge.reasons import ReasonCode
 
 
@@ -90,6 +90,24 @@ def test_one_writes_and_another_reads_who_it_is(tmp_path: Path) -> None:
         one_at_a_time(tmp_path / "none/a", "calibrate", "writing"),
     ):
         pass
+
+
+def test_a_folder_has_one_owner_and_is_gone_if_nothing_was_put_in(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    with owned_folder(folder, "stitch"):
+        with (
+            pytest.raises(DeviceError, match=r"another stitch \(pid \d+\) is writing"),
+            owned_folder(folder, "stitch"),
+        ):
+            pass
+        assert folder.is_dir()
+    assert not list(tmp_path.iterdir())
+    with owned_folder(folder, "stitch"):
+        (folder / "map.json").touch()
+    assert [path.name for path in folder.iterdir()] == ["map.json"]
+    with pytest.raises(ZeroDivisionError), owned_folder(folder, "stitch"):
+        raise ZeroDivisionError
+    assert [path.name for path in folder.iterdir()] == ["map.json"]
 
 
 HOLDER = """

@@ -54,9 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.labels is not None:
-        return _labelled(args)
-    return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
+    with study.own_folder(args, "evaluate"):
+        if args.labels is not None:
+            return _labelled(args)
+        return _own(args) if study.is_own(args, SIMULATED) else _simulated(args)
 
 
 def _profiles(args: argparse.Namespace) -> tuple[str, ...]:
@@ -74,7 +75,6 @@ def _simulated(args: argparse.Namespace) -> int:
     names, profiles = args.sensors or study.sensors(WORKING_SENSORS), _profiles(args)
     objects, references = args.objects or tuple(OBJECTS), args.references or REFERENCES
     study.check_out(args, "evaluation")
-    study.make_folder(args.out)
     with workers(args.cluster) as pool:
         rows, found = evaluate(
             names, profiles, objects, pool, Progress(), references=references, presses=presses
@@ -134,7 +134,6 @@ def _labelled(args: argparse.Namespace) -> int:
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
     calibration = loading.load(args.calibration, store=False)
     study.check_out(args, "labels")
-    study.make_folder(args.out)
     # One for all frames: a network is loaded once.
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
     rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}

@@ -20,7 +20,7 @@ from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.drawing import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
 from tacshade_edge.files.images import images_in, read_image
-from tacshade_edge.files.targets import check_folder
+from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.pipeline.ledger import StageTimer
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import ReasonCode, code_of, text_of
@@ -67,8 +67,7 @@ def run(args: argparse.Namespace) -> int:
     named = (f"{path.stem}{end}" for path in images for end in ends)
     check_folder(args.out, (_SUMMARY, SHEET, *named))
     done = _Done()
-    with disk_errors(args.out):
-        args.out.mkdir(parents=True, exist_ok=True)
+    with owned_folder(args.out, "reconstruct"), disk_errors(args.out):
         # It describes all files beside it: an old one must not stand beside new files.
         (args.out / _SUMMARY).unlink(missing_ok=True)
         _reconstruct(args, calibration, images, done)

@@ -21,7 +21,7 @@ from tacshade_edge.cli.shared.options import (
 from tacshade_edge.cli.shared.progress import Progress as Shown
 from tacshade_edge.daemon.playback import Deliver, Playback, PlaybackProgress, ReplayLink, replay
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.files.targets import check_folder, one_at_a_time
+from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.mqtt import links
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.quoting import counted, shown
@@ -150,6 +150,11 @@ def _mistake(args: argparse.Namespace) -> str:
 
 
 def _replay(args: argparse.Namespace) -> int:
+    with contextlib.nullcontext() if args.out is None else owned_folder(args.out, "replay"):
+        return _replayed(args)
+
+
+def _replayed(args: argparse.Namespace) -> int:
     broker = _broker(args)
     recording = _opened(args)
     given = args.calibration
@@ -172,7 +177,6 @@ def _replay(args: argparse.Namespace) -> int:
             if args.play:
                 played = link.playback = _playback(args, link)
         if args.out is not None:
-            stack.enter_context(one_at_a_time(args.out, "replay", "writing"))
             writer = RunWriter(args.out, calibration_crc32=reconstructor.calibration.crc32)
             # Without `finish`, as after an error, nothing of the run stays: half a run would
             # compare as one that differs.

@@ -5,9 +5,11 @@ or a scanned touchpad.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import functools
 import itertools
+import os
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +24,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.images import png
-from tacshade_edge.files.targets import check_folder
+from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.lab.parallel import reported_map, workers
 from tacshade_edge.lab.simulator import pad as pads
 from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press
@@ -150,8 +152,12 @@ def run(args: argparse.Namespace) -> int:
     model = _model(args.model, args.sensor_seed)
     model = flattened(model) if args.skin == "pad" else model
     _check(args)
-    sensor = SimulatedSensor(model)
-    with disk_errors(Path()):
+    with contextlib.ExitStack() as stack:
+        # Two of them may be the same.
+        for folder in {os.path.realpath(path) for path in _folders(args)}:
+            stack.enter_context(owned_folder(Path(folder), "simulate"))
+        stack.enter_context(disk_errors(Path()))
+        sensor = SimulatedSensor(model)
         if args.calibration_set is not None:
             _write_calibration_set(sensor, args.calibration_set, args.presses, args.seed)
         try:
@@ -183,6 +189,10 @@ def _check(args: argparse.Namespace) -> None:
     ):
         if folder is not None:
             check_folder(folder, names)
+
+
+def _folders(args: argparse.Namespace) -> list[Path]:
+    return [path for path in (args.calibration_set, args.out, args.pad) if path is not None]
 
 
 def _names(args: argparse.Namespace) -> list[str]:

@@ -16,7 +16,7 @@ from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
 from tacshade_edge.cli.shared.options import add_flag, add_option, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
-from tacshade_edge.files.targets import check_folder
+from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.lab.studies.stitch.map_presses import (
     PRESSES_MAX,
     MapPress,
@@ -32,7 +32,7 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.recording.frame_table import read_poses
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
-from tacshade_edge.sensor.profiles import PROFILES
+from tacshade_edge.sensor.profiles import PROFILES, Profile
 from tacshade_edge.stitching.flange import (
     ContactFrame,
     FoundFlange,
@@ -101,6 +101,14 @@ def run(args: argparse.Namespace) -> int:
     # The truth is read first: a mistake in it should not wait for the presses.
     profile, known = PROFILES[args.profile], None if args.truth is None else read_known(args.truth)
     check_folder(args.out, (FLANGE,) if args.find_flange else _MAP_FILES)
+    with owned_folder(args.out, "stitch"):
+        return _stitch(args, calibration, profile, known)
+
+
+def _stitch(
+    args: argparse.Namespace, calibration: Calibration, profile: Profile, known: Raster | None
+) -> int:
+    """Find the presses, and the map or the flange from them."""
     start, where = from_seven(calibration.flange_T_sensor), str(args.poses or args.recording)
     apex_mm = calibration.geometry.apex_z_mm
     if args.find_flange and args.recording is not None:

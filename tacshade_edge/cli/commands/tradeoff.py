@@ -102,8 +102,12 @@ def _outputs(text: str) -> tuple[str, ...]:
 def run(args: argparse.Namespace) -> int:
     if args.plot and args.out is None:
         args.parser.error("--plot requires --out")
-    if args.report:
-        return _report(args)
+    with study.own_folder(args, "tradeoff"):
+        return _report(args) if args.report else _measured(args)
+
+
+def _measured(args: argparse.Namespace) -> int:
+    """Measure, print and write the offers, and try the daemon with what is recommended."""
     drawn = args.plot and study.will_draw(args, "tradeoff.png")
     profiles = tuple(dict.fromkeys(args.profile or PROFILES))
     mistakes: list[str] = []
@@ -116,7 +120,6 @@ def run(args: argparse.Namespace) -> int:
         some = settings(profiles, calibration)
         judged = judge(some, calibration, cases)
     else:
-        study.make_folder(args.out)
         some, calibration, judged = _simulated(args, profiles)
     if not any(each.touched for each in judged):
         expected = "found no image of a contact to score, expected at least one with a truth file"

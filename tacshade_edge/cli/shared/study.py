@@ -5,6 +5,7 @@ the user's own images, output files.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors
 from tacshade_edge.files.images import images_in
-from tacshade_edge.files.targets import check_folder
+from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.lab.simulator.press import OBJECTS
 from tacshade_edge.lab.studies.evaluate.work import Case, SensorName, read_images
 from tacshade_edge.sensor.profiles import PROFILES
@@ -94,7 +95,6 @@ def own_images(args: argparse.Namespace) -> tuple[Calibration, Iterator[Case], l
             "expected one with images and their ground truth (.npz)"
         )
     calibration, paths = loading.load(args.calibration), images_in([args.images])
-    make_folder(args.out)
     # Grows while the iterator runs: only its end tells whether the command failed.
     mistakes: list[str] = []
     report = Progress()
@@ -149,6 +149,13 @@ def make_folder(folder: Path | None) -> None:
     if folder is not None:
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
+
+
+def own_folder(args: argparse.Namespace, command: str) -> contextlib.AbstractContextManager[None]:
+    """The output folder, if there is one, for this process alone (`owned_folder`), so that an error
+    comes before minutes of work.
+    """
+    return contextlib.nullcontext() if args.out is None else owned_folder(args.out, command)
 
 
 def write(path: Path, content: bytes) -> None:
