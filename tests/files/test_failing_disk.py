@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
@@ -181,6 +182,28 @@ def read_csv(folder: Path) -> str:
     return NEW
 
 
+def write_mcap(folder: Path, what: str) -> None:
+    from tacshade_edge.recording.exports.mcap_export import mcap_export
+
+    about = {"sensor_id": "left", "profile": "fast", "content": {"settings.yaml": b"a: 1\n" * 999}}
+    if what == NEW:
+        with mcap_export(folder / "new.mcap", calibration=CALIBRATION, **about) as add:  # type: ignore[arg-type]
+            for each in RESULTS:
+                add(*each)
+
+
+def read_mcap(folder: Path) -> str:
+    if not (folder / "new.mcap").exists():
+        return OLD
+    recording = Recording(folder / "new.mcap")
+    assert not recording.cut_off
+    assert not recording.damage
+    found = list(iter(recording.next_entry, None))
+    for entry, frame in zip(found, FRAMES, strict=True):
+        np.testing.assert_array_equal(entry.picture(), frame.image)
+    return NEW
+
+
 def write_ply(folder: Path, what: str) -> None:
     if what == NEW:
         with ply_export(folder / "ply") as add:
@@ -210,6 +233,8 @@ KEPT = {
     "csv": Kept(write_csv, read_csv),
     "ply": Kept(write_ply, read_ply),
 }
+if find_spec("mcap") and find_spec("foxglove_schemas_protobuf"):
+    KEPT["mcap"] = Kept(write_mcap, read_mcap)
 
 
 def failing(
