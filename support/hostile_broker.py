@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from types import TracebackType
 
@@ -46,7 +46,8 @@ class HostileBroker:
     after it; it denies the first `denied` topics of each.
 
     It ends a connection that publishes more than `bytes_max`, and answers others of QoS 1
-    with `code`; with `echo`, it sends these back.
+    with `code`; with `echo`, it sends these back. `early` comes with the first packet, and each of
+    the first connections ends after as many bytes as `cuts` say.
     """
 
     def __init__(
@@ -57,10 +58,12 @@ class HostileBroker:
         bytes_max: int = 1 << 28,
         code: int = 0,
         echo: bool = False,
+        early: bytes = b"",
+        cuts: Iterable[int] = (),
     ) -> None:
         self._bytes_max, self._code, self._echo = bytes_max, code, echo
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
-        self._denied = denied
+        self._denied, self._early, self._cuts = denied, early, iter(cuts)
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self._peers: list[socket.socket] = []
@@ -94,15 +97,16 @@ class HostileBroker:
                 threading.Thread(target=self._serve, args=(peer,), daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
+        send = _cut_off(peer, next(self._cuts, None))
         with suppress(OSError, EOFError), peer, peer.makefile("rb") as stream:
             while True:
                 kind, body = _read(stream.read)
                 if kind == 0x10:
-                    peer.sendall(packet(0x20, b"\0\0\0"))
+                    send(packet(0x20, b"\0\0\0") + self._early)
                 elif kind == 0x82:
                     granted = bytes(_filters(body) + self._extra - self._denied)
                     codes = b"\x87" * self._denied + granted
-                    peer.sendall(packet(0x90, body[:2] + b"\0" + codes) + self._raw)
+                    send(packet(0x90, body[:2] + b"\0" + codes) + self._raw)
                 elif kind & 0xF0 == 0x30 and len(body) > self._bytes_max:
                     return
                 elif kind & 0xF6 == 0x32:
@@ -117,6 +121,25 @@ class HostileBroker:
                         peer.sendall(packet(0x30, body[: 2 + size] + body[4 + size :]))
                 elif kind == 0xC0:
                     peer.sendall(packet(0xD0, b""))
+
+
+def _cut_off(peer: socket.socket, bytes_max: int | None) -> Callable[[bytes], None]:
+    """Send all, or a byte at a time and so many bytes of all, then EOFError."""
+    left = bytes_max
+
+    def send(data: bytes) -> None:
+        nonlocal left
+        if left is None:
+            peer.sendall(data)
+            return
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for k in range(min(left, len(data))):
+            peer.sendall(data[k : k + 1])
+        left -= len(data)
+        if left <= 0:
+            raise EOFError
+
+    return send
 
 
 def _read(read: Callable[[int], bytes]) -> tuple[int, bytes]:

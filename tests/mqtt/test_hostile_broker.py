@@ -8,11 +8,12 @@ import pytest
 import tacshade_client as tc
 
 import tacshade_edge as ts
-from support.hostile_broker import BAD, BAD_TOPICS, HostileBroker, publish
+from support.hostile_broker import BAD, BAD_TOPICS, HostileBroker, packet, publish
 from support.link_rig import BASE, Rig
 from support.patience import patience, wait_until
 from support.published_sensor import CRC, bump
 from tacshade_edge.bridge.prometheus import SensorMetrics
+from tacshade_edge.mqtt import client
 from tacshade_edge.mqtt.caller import MqttCaller
 from tacshade_edge.mqtt.client import BrokerAddress, broker_at
 from tacshade_edge.mqtt.follower import Follower
@@ -37,6 +38,49 @@ def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes
         assert rig.link.connected
         assert broker.connects == 2  # the guard of the client's id is the first
         rig.link.stop(2)
+
+
+@pytest.mark.slow
+def test_packets_that_end_at_every_byte_are_none_and_the_next_connection_is_heard(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(client, "_RECONNECT_DELAY_S", 0.05)
+    after = publish(f"{BASE}/req/status".encode(), b"{}")
+    cuts = range(1, 5 + 6 + len(after))  # CONNACK, and SUBACK of one topic
+    with HostileBroker(after, cuts=cuts) as broker:
+        rig = Rig(broker.port).connect()
+        wait_until(lambda: broker.connects > len(cuts), 60, "a connection that is not cut")
+        heard = rig.requests.get(timeout=patience(10))
+        wait_until(lambda: rig.link.connected, 10, "connected")
+        while not rig.requests.empty():
+            assert rig.requests.get() == heard
+        rig.link.stop(2)
+    assert heard == Request("status")
+    assert rig.link.counters()["bad_requests"] == 0
+
+
+OUT_OF_ORDER = (
+    publish(f"{BASE}/req/status".encode(), b"{}"),
+    packet(0x90, b"\0\x63\0\0"),  # SUBACK of what nobody asked
+    packet(0x40, b"\0\x63"),  # PUBACK, PUBREC, PUBREL, PUBCOMP of what nobody sent
+    packet(0x50, b"\0\x63"),
+    packet(0x62, b"\0\x63"),
+    packet(0x70, b"\0\x63"),
+    packet(0xB0, b"\0\x63\0\0"),  # UNSUBACK
+    packet(0xD0, b""),  # PINGRESP without a PINGREQ
+)
+
+
+@pytest.mark.parametrize("packets", [OUT_OF_ORDER, OUT_OF_ORDER[::-1]], ids=["", "reversed"])
+def test_packets_out_of_their_order_end_no_connection(packets: tuple[bytes, ...]) -> None:
+    after = publish(f"{BASE}/req/status".encode(), b'{"transaction": 2}')
+    with HostileBroker(after, early=b"".join(packets)) as broker:
+        rig = Rig(broker.port).connect()
+        heard = {rig.requests.get(timeout=patience(10)).transaction for _ in range(2)}
+        assert heard == {None, 2}
+        assert rig.link.connected
+        rig.link.stop(2)
+        assert broker.connects == 2
 
 
 def test_a_subscription_that_is_denied_is_reported_by_its_topic(
