@@ -16,15 +16,13 @@ from urllib.parse import urlsplit
 
 WRONG_MAX: Final = 10
 PERIOD_S: Final = 60.0
-"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server rejects its tokens
-unchecked, except the cookies of browsers that have already shown theirs: others at that address
-cannot lock them out.
+"""After `WRONG_MAX` wrong tokens from an address in this period (s), the server answers its further
+wrong ones with 429. The right one always passes: others at that address cannot lock anyone out.
 """
 
-# Both tables forget their oldest entry: whoever has many addresses, as with IPv6, must not fill the
+# The table forgets its oldest entry: whoever has many addresses, as with IPv6, must not fill the
 # memory of a board.
 _ADDRESSES_MAX: Final = 256
-_BROWSERS_MAX: Final = 256
 _BROWSER_BYTES: Final = 16
 _COOKIE_S: Final = 30 * 24 * 3600
 
@@ -90,7 +88,6 @@ class Login:
         self._cookie = cookie
         self._flags = "; Secure" if secure else ""
         self._tries: dict[str, _Tries] = {}
-        self._browsers: dict[str, None] = {}
         self.wrong = 0
 
     def set_cookie(self) -> str:
@@ -129,27 +126,20 @@ class Login:
         if token is None and kept is None:
             return HTTPStatus.UNAUTHORIZED
         browser, _, signature = (kept or "").rpartition(".")
-        is_known = token is None and browser in self._browsers
-        if tries is not None and tries.wrong >= WRONG_MAX and not is_known:
-            # Unchecked even if right: otherwise the answer would tell a guesser which one it was.
-            return HTTPStatus.TOO_MANY_REQUESTS
         offered, expected = (
             (signature, self._signed(browser).encode()) if token is None else (token, self._token)
         )
         guess = offered.encode(errors="surrogateescape")
         # In constant time: the first wrong byte must not show in how long it takes.
         if hmac.compare_digest(guess, expected):
-            if token is None:
-                if browser not in self._browsers and len(self._browsers) >= _BROWSERS_MAX:
-                    del self._browsers[next(iter(self._browsers))]
-                self._browsers[browser] = None
             return None
         if tries is None:
             if len(self._tries) >= _ADDRESSES_MAX:
                 del self._tries[next(iter(self._tries))]
             tries = self._tries[address] = _Tries(now_s)
+        is_locked_out = tries.wrong >= WRONG_MAX
         if guess != tries.latest:
             tries.latest = guess
             tries.wrong += 1
             self.wrong += 1
-        return HTTPStatus.UNAUTHORIZED
+        return HTTPStatus.TOO_MANY_REQUESTS if is_locked_out else HTTPStatus.UNAUTHORIZED

@@ -112,40 +112,45 @@ def test_the_token_passes_and_nothing_like_it(login: Login) -> None:
     assert login.wrong == 6
 
 
-def test_an_address_that_guesses_waits_and_others_do_not(login: Login) -> None:
+def test_an_address_that_guesses_is_told_to_wait(login: Login) -> None:
     for k in range(WRONG_MAX):
         assert login.refusal(f"{k}", None, "guesser", float(k)) is WRONG
-    assert login.refusal(WORD, None, "guesser", PERIOD_S) is TOO_MANY
-    assert login.refusal(WORD, None, "friend", PERIOD_S) is None
-    assert login.refusal(WORD, None, "guesser", PERIOD_S + 1) is None
-    assert login.wrong == WRONG_MAX
+    assert login.refusal("another", None, "guesser", PERIOD_S) is TOO_MANY
+    assert login.refusal("another", None, "friend", PERIOD_S) is WRONG
+    assert login.wrong == WRONG_MAX + 2  # also those that were told to wait
+    assert login.refusal("another", None, "guesser", PERIOD_S + 1) is WRONG
 
 
 @pytest.mark.parametrize("as_cookie", [False, True])
-def test_who_guesses_locks_out_no_browser_that_is_logged_in(login: Login, as_cookie: bool) -> None:
-    mine, fresh = cookie(login), cookie(login)
-    assert login.refusal(None, mine, "shared", 0.0) is None
+def test_who_guesses_locks_out_nobody_who_has_the_token(login: Login, as_cookie: bool) -> None:
+    mine, restarted = cookie(login), cookie(Login(WORD, "tacshade-80", secure=True))
     for k in range(2 * WRONG_MAX):
         guess = f"guess-{k}.x{k}"
         login.refusal(*((None, guess) if as_cookie else (guess, None)), "shared", 1.0)
-    assert login.refusal(None, mine, "shared", 2.0) is None
-    assert login.refusal(None, fresh, "shared", 2.0) is TOO_MANY  # a guess would look like this
-    assert login.refusal(None, f"{str(mine)[:-1]}x", "shared", 2.0) is WRONG
-    assert (
-        login.refusal(
-            None, cookie(Login("another-token-of-us", "tacshade-80", secure=True)), "a", 2.0
-        )
-        is WRONG
-    )
+    assert login.refusal(WORD, None, "shared", 2.0) is None
+    for right in (mine, restarted):
+        assert login.refusal(None, right, "shared", 2.0) is None
+    assert login.refusal("guess-0", None, "shared", 2.0) is TOO_MANY
+    assert login.refusal(None, f"{str(mine)[:-1]}x", "shared", 2.0) is TOO_MANY
+    other = cookie(Login("another-token-of-us", "tacshade-80", secure=True))
+    assert login.refusal(None, other, "a", 2.0) is WRONG
 
 
-def test_so_many_browsers_and_addresses_are_remembered_and_no_more(login: Login) -> None:
-    browsers = [cookie(login) for _ in range(300)]
-    for k, browser in enumerate(browsers):
-        assert login.refusal(None, browser, "a", 0.0) is None
+async def test_the_right_token_opens_the_page_while_its_address_guesses() -> None:
+    async with running(token=TOKEN) as port:
+        for k in range(WRONG_MAX):
+            assert (await get(port, "/main.js", f"Authorization: Bearer {k}"))[0] == 401
+        assert (await get(port, "/main.js", "Authorization: Bearer another"))[0] == 429
+        status, headers, _ = await get(port, "/login", f"Authorization: Bearer {TOKEN}")
+        assert status == 204
+        kept = headers["set-cookie"].partition(";")[0]
+        assert (await get(port, "/main.js", f"Cookie: {kept}"))[0] == 200
+        assert (await get(port, "/main.js", "Authorization: Bearer another"))[0] == 429
+
+
+def test_so_many_addresses_are_remembered_and_no_more(login: Login) -> None:
+    for k in range(300):
         for n in range(WRONG_MAX):
             login.refusal(f"wrong {n}", None, f"address {k}", 0.0)
-    of_addresses = [login.refusal(WORD, None, f"address {k}", 0.0) for k in range(300)]
-    assert of_addresses == [None] * 44 + [TOO_MANY] * 256
-    of_browsers = [login.refusal(None, browser, "address 299", 0.0) for browser in browsers]
-    assert of_browsers == [TOO_MANY] * 44 + [None] * 256
+    newest_first = [login.refusal("wrong", None, f"address {k}", 0.0) for k in range(299, -1, -1)]
+    assert newest_first == [TOO_MANY] * 256 + [WRONG] * 44

@@ -173,6 +173,29 @@ def test_a_defect_in_a_thread_ends_the_process_with_a_traceback(folder: Path) ->
     assert done.stderr.rstrip().endswith("ZeroDivisionError: a defect\nin thread grab")
 
 
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run --config SETTINGS",
+        "check-config SETTINGS",
+        "reconstruct --calibration c.npz --out out images",
+        "--help",
+    ],
+)
+def test_closed_standard_streams_are_no_failure(folder: Path, words: str, closed: str) -> None:
+    path = settings(folder, free_port(), "kind: files, path: images, fps: 100")
+    command = f'exec "$0" -m tacshade_edge {words.replace("SETTINGS", path.name)} {closed}'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable],
+        cwd=folder,
+        capture_output=True,
+        timeout=patience(60),
+        check=False,
+    )
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False), done.stderr.decode()
+
+
 @pytest.mark.broker
 def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
     for path in sorted((folder / "images").iterdir())[3:]:
