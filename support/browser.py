@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,10 @@ _FLAGS = (
 
 @contextmanager
 def browser(
-    profile: Path, *flags: str, size_px: tuple[int, int] = (1400, 1100)
+    profile: Path,
+    *flags: str,
+    size_px: tuple[int, int] = (1400, 1100),
+    prefs: Mapping[str, object] | None = None,
 ) -> Iterator[webdriver.Chrome]:
     """A browser without history; `profile` is an empty folder for its files."""
     assert CHROMIUM is not None
@@ -46,6 +49,8 @@ def browser(
         *flags,
     ):
         options.add_argument(flag)
+    if prefs:
+        options.add_experimental_option("prefs", dict(prefs))
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(DRIVER))
     try:

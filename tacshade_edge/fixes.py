@@ -104,6 +104,16 @@ def no_answer_fix(tls_ca: str | None) -> str:
 _UNSUPPORTED_VERSION: Final = 0x84
 _BAD_USER_NAME_OR_PASSWORD: Final = 0x86
 _NOT_AUTHORISED: Final = 0x87
+CLIENTS_FIX: Final = "raise max_connections in the broker's configuration, or end another client"
+_REFUSAL_FIXES: Final = {
+    _UNSUPPORTED_VERSION: "use mosquitto 1.6 or newer",  # the first one with MQTT 5
+    0x88: CLIENTS_FIX,
+    0x89: CLIENTS_FIX,
+    0x95: MESSAGE_SIZE_FIX,
+    0x97: CLIENTS_FIX,
+    0x9A: "set retain_available true in the broker's configuration, or remove the line",
+    0x9B: "set max_qos to at least 1 in the broker's configuration, or remove the line",
+}
 
 
 def is_not_authorised(code: int) -> bool:
@@ -126,5 +136,4 @@ def refusal_fix(code: int, username: str | None) -> str:
             "is the password right? To reset it: sudo mosquitto_passwd "
             f"/etc/mosquitto/tacshade.passwd {username}"
         )
-    # The first one with MQTT 5.
-    return "use mosquitto 1.6 or newer" if is_other_version(code) else BROKERS_LOG
+    return _REFUSAL_FIXES.get(code, BROKERS_LOG)

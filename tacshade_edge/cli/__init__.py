@@ -10,12 +10,15 @@ from __future__ import annotations
 import argparse
 import errno
 import importlib
+import json
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from tacshade_edge.cli.streams import STDOUT, drop_stdout
 from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped, shown
+from tacshade_edge.requirements import PACKAGES_FIX, missing_requirements
 from tacshade_edge.version import installed_version
 
 _MISTAKES = (
@@ -89,6 +92,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+def _report_requirements(problems: Sequence[str], *, as_json: bool) -> int:
+    """Print what `doctor` cannot even start with; return the exit code."""
+    if as_json:
+        check = {"check": "packages", "state": "fault", "fix": PACKAGES_FIX}
+        print(json.dumps([check | {"found": problem} for problem in problems], indent=2))
+    else:
+        for problem in problems:
+            print(f"tacshade-edge: {escaped(problem, _CHARS_MAX)}", file=sys.stderr)
+        print(f"tacshade-edge: {PACKAGES_FIX}", file=sys.stderr)
+    return EXIT_CONFIG
+
+
 class _Version(argparse.Action):
     """Prints the version; looks it up only when requested."""
 
@@ -122,6 +137,24 @@ def command_line(
     return parser, modules
 
 
+def _run(module: Any, args: argparse.Namespace) -> int:
+    """Run a command; what fails because of other versions of packages says so."""
+    try:
+        return int(module.run(args))
+    except (TacshadeError, OSError):
+        raise
+    except Exception as error:
+        if not (problems := missing_requirements()):
+            raise
+        code = _report_requirements(problems, as_json=False)
+        # Whoever asks what is wrong has the answer; elsewhere it may be another defect.
+        if args.command != "doctor":
+            raise
+        found = escaped(f"{type(error).__name__}: {error}", _CHARS_MAX)
+        print(f"tacshade-edge: doctor ended early: {found}", file=sys.stderr)
+        return code
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 failed, 2 wrong usage,
     78 bad configuration.
@@ -130,14 +163,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     # No option before the command takes a value, so the first other word is the command. Only its
     # module is imported: all together take seconds on a small board.
     chosen = next((w for w in words if not w.startswith("-")), None)
-    parser, modules = command_line(lambda name: name == chosen)
+    try:
+        parser, modules = command_line(lambda name: name == chosen)
+    except Exception:
+        # Another package's start may raise anything; a defect of ours keeps its traceback.
+        if not (problems := missing_requirements()):
+            raise
+        return _report_requirements(problems, as_json=chosen == "doctor" and "--json" in words)
     args, unknown = parser.parse_known_args(words)
     if unknown:
         # Of the command's own parser, whose usage line is the one that helps.
         args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     module = modules[args.command]
     try:
-        return int(module.run(args))
+        return _run(module, args)
     except ConfigError as error:
         for line in (str(error), *error.others):
             print(f"tacshade-edge: {escaped(line, _CHARS_MAX)}", file=sys.stderr)
@@ -146,14 +185,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
         return EXIT_FAILED
     except BrokenPipeError:
-        # The reader of our output closed it, as `| head` does. The interpreter would report that
-        # once more at its end, if it still had a place to.
-        sys.stderr.close()
+        # The reader of our output closed it, as `| head` does.
+        drop_stdout()
         return EXIT_FAILED
     except OSError as error:
-        # A path that Python could not even look at: too long a name, a closed folder. Any other
-        # error, and any of a daemon, is a defect and has to show its traceback.
-        if error.filename is None or args.command == "run":
+        # A path that Python could not even look at: too long a name, a closed folder; or the disk
+        # that our output goes to. Any other error, and any of a daemon, is a defect and has to show
+        # its traceback.
+        if error.filename == STDOUT:
+            drop_stdout()
+        elif error.filename is None or args.command == "run":
             raise
         print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)
         return EXIT_CONFIG if error.errno in _MISTAKES else EXIT_FAILED

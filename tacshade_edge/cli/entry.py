@@ -5,7 +5,6 @@ and exits with the command's code in any case.
 from __future__ import annotations
 
 import contextlib
-import io
 import logging
 import os
 import resource
@@ -15,6 +14,7 @@ from types import TracebackType
 from typing import NoReturn
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
+from tacshade_edge.cli.streams import STDOUT, flush_stdout, prepare_streams
 
 # With less address space, most of which is never used, OpenCV crashes as it is loaded, or OpenBLAS
 # ends the process later. The supervisor of a hand with 16 sensors and a robot opens about 100
@@ -27,17 +27,31 @@ LIMITS = (
 
 def entry() -> NoReturn:
     """Run the command line and exit; ``tacshade_edge.__main__`` sets up the signals."""
+    prepare_streams()
     for limit, least, shift, what in LIMITS:
         found, _ = resource.getrlimit(limit)
         if 0 <= found < least:
             text = f"found at most {found >> shift} {what}, expected at least {least >> shift}"
             print(f"tacshade-edge: {text}", file=sys.stderr)
             sys.exit(EXIT_CONFIG)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # A path may hold bytes that are not UTF-8, at which print() would fail.
-        sys.stdout.reconfigure(errors="backslashreplace")
     sys.excepthook = _defect
-    leave(main())
+    try:
+        code = main()
+    except SystemExit as end:  # argparse's, which has printed help or a mistake
+        code = end.code if isinstance(end.code, int) else EXIT_FAILED
+    leave(_printed(code))
+
+
+def _printed(code: int) -> int:
+    """The exit code, once what was printed is written."""
+    try:
+        flush_stdout()
+    except BrokenPipeError:
+        return EXIT_FAILED
+    except OSError as error:
+        print(f"tacshade-edge: {STDOUT}: {error.strerror}", file=sys.stderr)
+        return EXIT_FAILED
+    return code
 
 
 def leave(code: int) -> NoReturn:

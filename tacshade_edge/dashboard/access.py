@@ -80,13 +80,16 @@ def offered(authorization: str | None) -> str | None:
 
 class Login:
     """A check of tokens that counts the wrong ones of each address;
-    a `secure` cookie is sent only over TLS.
+    a `secure` cookie is sent only over TLS, and then also from a frame in another site's page, if
+    it may be `framed`: browsers keep it for frames in that site alone.
     """
 
-    def __init__(self, token: str, cookie: str, *, secure: bool) -> None:
+    def __init__(self, token: str, cookie: str, *, secure: bool, framed: bool = False) -> None:
         self._token = token.encode()
         self._cookie = cookie
-        self._flags = "; Secure" if secure else ""
+        self._flags = "SameSite=Strict; Secure" if secure else "SameSite=Strict"
+        if secure and framed:
+            self._flags = "SameSite=None; Secure; Partitioned"
         self._tries: dict[str, _Tries] = {}
         self.wrong = 0
 
@@ -96,10 +99,7 @@ class Login:
         # list of sessions.
         browser = secrets.token_urlsafe(_BROWSER_BYTES)
         value = f"{browser}.{self._signed(browser)}"
-        return (
-            f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; "
-            f"SameSite=Strict{self._flags}"
-        )
+        return f"{self._cookie}={value}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; {self._flags}"
 
     def _signed(self, browser: str) -> str:
         # surrogateescape: a header may hold bytes that are no text, and must not raise.

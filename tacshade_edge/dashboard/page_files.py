@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -51,12 +51,12 @@ def load(*, read_only: bool = False, recordings: bool = False) -> dict[str, File
     return {"/": index, "/login": found["/login.html"], **found}
 
 
-def security_headers(files: Mapping[str, File]) -> dict[str, str]:
+def security_headers(files: Mapping[str, File], embed_in: Collection[str] = ()) -> dict[str, str]:
     """Return the headers of every answer: the page may only load its own files and connect
     to its own server.
 
-    The one inline script, the import map, is allowed by its hash;
-    ``blob:`` allows the picture and mqtt.js's worker.
+    Pages of the origins `embed_in` may show it in a frame. The one inline script, the import map,
+    is allowed by its hash; ``blob:`` allows the picture and mqtt.js's worker.
     """
     # A browser runs an inline script only if its hash stands in the policy; import maps cannot be
     # files of their own everywhere.
@@ -66,10 +66,11 @@ def security_headers(files: Mapping[str, File]) -> dict[str, str]:
     hashes = " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(text).digest()).decode()}'" for text in inline
     )
+    none = "'none'"
     policy = (
         f"default-src 'none'; script-src 'self' {hashes}; style-src 'self'; img-src 'self' blob:; "
         "connect-src 'self'; worker-src blob:; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'"
+        f"frame-ancestors {' '.join(sorted(embed_in)) or none}"
     )
     return {
         "Content-Security-Policy": policy,

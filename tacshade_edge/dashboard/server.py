@@ -157,7 +157,8 @@ def _is_download(path: str) -> bool:
 class Pages:
     """The answers to HTTP requests; permitted WebSocket requests pass.
 
-    Without `tokens`, everybody sees the page.
+    Without `tokens`, everybody sees the page; pages of the origins `embed_in` may show it in a
+    frame.
     """
 
     def __init__(
@@ -167,11 +168,12 @@ class Pages:
         bounds: Bounds,
         tokens: Login | None,
         commands: RecordingCommands,
+        embed_in: Collection[str] = (),
     ) -> None:
         self._tokens = tokens
         self._commands = commands
         self._files = files
-        self._headers = security_headers(self._files)
+        self._headers = security_headers(self._files, embed_in)
         self._allowed_origins = allowed_origins
         self._bounds = bounds
         self._refused = ""
@@ -306,6 +308,12 @@ class Pages:
         return Response(status.value, status.phrase, everything, body)
 
 
+def _login(token: str | None, port: int, *, secure: bool, framed: bool) -> Login | None:
+    # Browsers send a cookie to every port of a host: without the port in its name, two dashboards
+    # on one machine would log each other out.
+    return Login(token, f"tacshade-{port}", secure=secure, framed=framed) if token else None
+
+
 async def run(
     broker: Broker,
     host: str,
@@ -318,10 +326,11 @@ async def run(
     token: str | None = None,
     read_only: bool = False,
     recordings: Path | None = None,
+    embed_in: Collection[str] = (),
 ) -> None:
     """Serve until `stop` is set, then close every connection within a second. Raises DeviceError.
 
-    `listening(host, port)` is called once when the port is open; port 0 selects a free one.
+    `listening(host, port)`: called once the port is open; 0 is a free one. `embed_in`: see `Pages`.
     """
     asyncio.get_running_loop().set_exception_handler(report_device_errors)
     bounds = Bounds()
@@ -335,15 +344,14 @@ async def run(
 
     try:
         listener = ListeningSocket(host, port, bounds.admit)
-        # Browsers send a cookie to every port of a host: without the port in its name, two
-        # dashboards on one machine would log each other out.
-        cookie = f"tacshade-{listener.getsockname()[1]}"
-        tokens = Login(token, cookie, secure=tls is not None) if token else None
+        secure, framed = tls is not None, bool(embed_in)
+        tokens = _login(token, listener.getsockname()[1], secure=secure, framed=framed)
         files = load(read_only=read_only, recordings=recordings is not None)
+        pages = Pages(files, allowed_origins, bounds, tokens, commands, embed_in)
         server = await serve(
             serve_page,
             sock=listener,
-            process_request=Pages(files, allowed_origins, bounds, tokens, commands).answer,
+            process_request=pages.answer,
             create_connection=bounds.connection(),
             **_protocol(tls),
         )

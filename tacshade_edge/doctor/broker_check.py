@@ -20,6 +20,7 @@ from tacshade_edge.doctor import Finding, Findings, fault, ok, warning
 from tacshade_edge.doctor.machine import Process
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.fixes import (
+    CLIENTS_FIX,
     MESSAGE_SIZE_FIX,
     connect_fix,
     is_not_authorised,
@@ -92,6 +93,9 @@ class _Session:
         )
         # An invented name: with its own, this connection would end the one of the daemon.
         self.client = BrokerSession(broker, events, client_id="", base_topic=base)
+        # Of the daemon's QoS, and retained: a broker that allows neither refuses the connection.
+        # Without content, it would leave nothing behind.
+        self.client.will_set(self.topic, b"", qos=1, retain=True)
 
     def _on_accepted(self, bytes_max: int | None) -> None:
         self.greeted, self.packet_bytes_max = True, bytes_max
@@ -222,7 +226,11 @@ def _greet(
     if not session.greeted:
         doing = "does not answer" if open_still else "hangs up"
         found = f"{where}: accepts connections but {doing}, so it is not an MQTT broker"
-        return fault("broker", found, no_answer_fix(tls_ca))
+        fix = no_answer_fix(tls_ca)
+        if not open_still:
+            found += ", or has no room for another client"
+            fix += f". If it is a broker, {CLIENTS_FIX}"
+        return fault("broker", found, fix)
     if code is None:
         return None
     if is_not_authorised(code.value):
@@ -251,11 +259,12 @@ def _round_trip(session: _Session, username: str | None) -> Finding:
     below = f"topics under {session.base}/"
     if not session.subscribe():
         return fault(_ROUND_TRIP, f"the broker does not let this user subscribe to {below}", acl)
-    most = session.packet_bytes_max
-    if most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
+    # First without content: the broker may take messages, but none of this size. What a daemon has
+    # left on the broker comes before the echo.
+    echoed, most = session.echoes(0), session.packet_bytes_max
+    if echoed and most is not None and most < _MESSAGE_BYTES + _HEADER_BYTES:
         return _limited(f"the broker accepts packets of at most {most} bytes")
-    # First without content: the broker may take messages, but none of this size.
-    if not session.echoes(0):
+    if not echoed:
         refused = f"the broker does not let this user publish to {below} ({session.published})"
         silent = f"a message to {session.topic} did not come back within {_ANSWER_S:g} s"
         return fault(_ROUND_TRIP, refused if session.is_refused else silent, acl)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.images import read_image
@@ -13,7 +16,21 @@ from tacshade_edge.reasons import Reason, reason_fields
 from tacshade_edge.sensor.frame_check import Measured, first_reason, size_reason
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.types import Calibration
+from tacshade_edge.sensor.reconstruct import Reconstructor
+from tacshade_edge.types import U8, Calibration
+
+_TURNS: Final[Mapping[str, Callable[[U8], U8]]] = {
+    "mirrored left to right": np.fliplr,
+    "mirrored top to bottom": np.flipud,
+    "turned by 180 degrees": lambda image: np.rot90(image, 2),
+    "turned by 90 degrees clockwise": lambda image: np.rot90(image, -1),
+    "turned by 90 degrees counter-clockwise": np.rot90,
+    "with rows and columns swapped": lambda image: image.swapaxes(0, 1),
+    "with rows and columns swapped, turned by 180 degrees": lambda image: np.rot90(
+        image.swapaxes(0, 1), 2
+    ),
+}
+"""Each way in which another program may have turned a picture, by how it is undone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +74,25 @@ def judge_pictures(
             # The other pictures are judged all the same.
             yield Judged(path, reason=error.reason)
             continue
-        if reason := size_reason(image, (calibration.image_height_px, calibration.image_width_px)):
-            yield Judged(path, reason=reason)
-            continue
-        # Judges end at the first that refuses, as for a frame: later ones presume what it found.
-        measured = reconstructor.measured(image)
-        yield Judged(path, measured, first_reason(measured))
+        size = calibration.image_height_px, calibration.image_width_px
+        reason, measured = size_reason(image, size), tuple[Measured, ...]()
+        if reason is None:
+            # Judges end at the first that refuses, as for a frame: later ones presume what it
+            # found.
+            measured = reconstructor.measured(image)
+            reason = first_reason(measured)
+        if reason is not None and (turned := _passes_turned(image, size, reconstructor)):
+            reason = Reason(reason.code, f"{reason}; it passes {turned}: has a program done that?")
+        yield Judged(path, measured, reason)
+
+
+def _passes_turned(image: U8, size: tuple[int, int], reconstructor: Reconstructor) -> str:
+    """How a refused picture passes: mirrored or turned; empty if in no such way."""
+    for name, turn in _TURNS.items():
+        turned = np.ascontiguousarray(turn(image))
+        if turned.shape[:2] == size and first_reason(reconstructor.measured(turned)) is None:
+            return name
+    return ""
 
 
 def figures(judged: Sequence[Judged]) -> list[str]:

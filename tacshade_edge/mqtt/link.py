@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from paho.mqtt.client import MQTTMessage
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
@@ -78,6 +78,8 @@ def _may_name_a_topic(text: str) -> bool:
 
 
 _log = logging.getLogger(__name__)
+_OWN: Final = ("state", "info", "instance", "status/+")
+"""What stays retained, and is published again if somebody deletes it."""
 
 
 class MqttLink:
@@ -124,6 +126,7 @@ class MqttLink:
         self._outgoing = Outgoing(self._session, self._where, base_topic, on_outcome)
         self._reason: Reason | None = self._with_address(ReasonCode.STARTING, "not started")
         self._watched: dict[str, Callable[[bytes], None]] = {}
+        self._retained = set[str]()
         self._thread: threading.Thread | None = None
         self._settled = threading.Event()
         instance = new_instance()
@@ -164,6 +167,9 @@ class MqttLink:
         topics = {f"{self._base}/req/+": SubscribeOptions(1, noLocal=True, retainHandling=2)}
         for topic in self._watched:
             topics[f"{self._base}/{topic}"] = SubscribeOptions(1, noLocal=True)
+        # What others publish there is a deletion, or a mistake.
+        for topic in _OWN:
+            topics[f"{self._base}/{topic}"] = SubscribeOptions(1, noLocal=True, retainHandling=2)
         self._session.follow(topics)
         self._session.start()
 
@@ -196,6 +202,7 @@ class MqttLink:
 
     def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
         """Publish a retained value now and on every connection: `Outgoing.set_retained`."""
+        self._retained.add(topic)
         self._outgoing.set_retained(topic, payload, qos=qos)
 
     def has_listener(self, stream: str) -> bool:
@@ -336,6 +343,12 @@ class MqttLink:
     def _on_message(self, topic: str, message: MQTTMessage) -> None:
         if (on_payload := self._watched.get(topic.removeprefix(f"{self._base}/"))) is not None:
             on_payload(bytes(message.payload))
+            return
+        own = topic.removeprefix(f"{self._base}/")
+        if own in _OWN or own.startswith("status/"):
+            # Somebody has deleted it, with which pages and Home Assistant would lose the sensor.
+            if own in self._retained and not message.payload and not self._outgoing.stopping:
+                self._outgoing.set_retained(own, None)
             return
         request = read_request(self._base, topic, message)
         kind = "bad_requests" if isinstance(request, BadRequest) else "requests"

@@ -115,8 +115,8 @@ class Outgoing:
         """
         return dict(self._counters)
 
-    def set_retained(self, topic: str, payload: bytes, *, qos: Literal[0, 1] = 1) -> None:
-        """Publish a retained value, now and again on every connection; the newest wins.
+    def set_retained(self, topic: str, payload: bytes | None, *, qos: Literal[0, 1] = 1) -> None:
+        """Publish a retained value (None: the newest), and again on every connection.
 
         The topic is relative to the base topic; with a leading slash it starts at the broker's
         root.
@@ -124,7 +124,8 @@ class Outgoing:
 
         def put() -> None:
             slot = self._slot(topic, qos, retain=True)
-            slot.waiting = slot.newest = Item(payload, 0)
+            slot.newest = slot.newest if payload is None else Item(payload, 0)
+            slot.waiting = slot.newest
             self._pump(slot)
 
         self.post(put)

@@ -42,7 +42,7 @@ class Video:
         self._path = path
         # Whatever the user's environment says; OpenCV reads it at each opening.
         os.environ[_FFMPEG_OPTIONS] = _FILES_ONLY
-        video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        video = _opened(path)
         width, height = (
             int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         )
@@ -64,7 +64,7 @@ class Video:
         Raises DecodeError at the end of a file that ends before its end.
         """
         # Opened again: winding back finds no frame in a video of one.
-        video = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        video = _opened(self._path)
         first_ns = t_ns = count = 0
         # What some containers state no better than by numbers; without it, equal times.
         period_ns = round(1e9 / self.fps)
@@ -92,6 +92,13 @@ class Video:
         """
         with open_regular(self._path, _FILE_BYTES_MAX) as stream:
             return int.from_bytes(stream.read(4), "big") != _EBML
+
+
+def _opened(path: Path) -> cv2.VideoCapture:
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    # As stored, like images: a turned picture would not fit its calibration.
+    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    return video
 
 
 def _is_cut(path: Path) -> bool:

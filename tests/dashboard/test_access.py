@@ -154,3 +154,13 @@ def test_so_many_addresses_are_remembered_and_no_more(login: Login) -> None:
             login.refusal(f"wrong {n}", None, f"address {k}", 0.0)
     newest_first = [login.refusal("wrong", None, f"address {k}", 0.0) for k in range(299, -1, -1)]
     assert newest_first == [TOO_MANY] * 256 + [WRONG] * 44
+
+
+def test_a_cookie_is_sent_from_a_frame_only_over_tls_and_where_one_may_be() -> None:
+    flags = {
+        (secure, framed): Login(WORD, "a", secure=secure, framed=framed).set_cookie()
+        for secure in (False, True)
+        for framed in (False, True)
+    }
+    assert flags.pop((True, True)).endswith("; SameSite=None; Secure; Partitioned")
+    assert all("SameSite=Strict" in each for each in flags.values())

@@ -183,3 +183,29 @@ def test_without_webgl_the_rest_goes_on(tmp_path: Path) -> None:
         assert "does not support WebGL" in text(page, "view")
         assert js(page, "tacshade.drawnPeak()") == pytest.approx(1.5, abs=0.01)
         assert errors(page) == []
+
+
+@pytest.mark.parametrize("kept", ["[broken", "7", "null", '{"a": 1}'])
+def test_a_damaged_store_and_a_bad_address_are_survived(
+    page: Chrome, address: str, sensor: PublishedSensor, kept: str
+) -> None:
+    opened(page, address)
+    page.execute_script("localStorage.setItem('tacshade-removed', arguments[0])", kept)
+    page.execute_script("localStorage.setItem('tacshade-range', arguments[0])", kept)
+    page.get("about:blank")
+    opened(page, address, "100%")
+    shows(page, "sensors", "drawn")
+    page.execute_script("localStorage.clear()")
+
+
+def test_a_browser_that_keeps_nothing_shows_the_sensors(
+    tmp_path: Path, address: str, sensor: PublishedSensor
+) -> None:
+    blocked = {"profile.default_content_setting_values.cookies": 2}
+    with browser(tmp_path / "profile", prefs=blocked) as page:
+        opened(page, address)
+        shows(page, "sensors", "drawn")
+        assert page.execute_script(
+            "try { localStorage.length; return false; } catch { return true; }"
+        )
+        assert errors(page) == []

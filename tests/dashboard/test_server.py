@@ -13,6 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from support.page_server import answer, echo, get, running, tcp, websocket
 from tacshade_edge.dashboard import server
+from tacshade_edge.dashboard.page_files import load, security_headers
 from tacshade_edge.dashboard.server import CONNECTIONS_MAX, PAGES_MAX
 
 STATIC = Path(server.__file__).parent / "static"
@@ -86,6 +87,14 @@ async def test_the_page_may_load_its_own_files_only() -> None:
         assert policy.count("'sha256-") == (STATIC / "index.html").read_text().count(
             '<script type="importmap">'
         )
+
+
+def test_pages_that_may_show_it_in_a_frame_are_named() -> None:
+    files = load(read_only=False, recordings=False)
+    home = "http://homeassistant.local:8123"
+    policy = security_headers(files, {home})["Content-Security-Policy"]
+    assert policy.endswith(f"; frame-ancestors {home}")
+    assert security_headers(files)["Content-Security-Policy"].endswith("; frame-ancestors 'none'")
 
 
 @pytest.mark.parametrize("method", ["PUT", "POST", "get"])

@@ -169,6 +169,39 @@ def test_a_broker_that_takes_small_messages_only(tmp_path: Path, option: str, fo
     assert "message_size_limit" in small.fix
 
 
+@pytest.mark.broker
+def test_a_daemon_on_a_broker_that_takes_small_messages_only(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path, more=("max_packet_size 30000",)) as broker,
+        Subscriber(broker.port, f"{BASE}/#") as other,
+    ):
+        other.publish(f"{BASE}/state", b"online", retain=True)
+        other.wait_for(f"{BASE}/state")
+        findings, daemon = ask(broker.port)
+    assert findings["broker round trip"].state == "warning"
+    assert daemon.state == "online"
+
+
+@pytest.mark.broker
+@pytest.mark.parametrize(
+    ("option", "fix"),
+    [("max_qos 0", "set max_qos to at least 1"), ("retain_available false", "retain_available")],
+)
+def test_a_broker_that_refuses_the_daemons_will(tmp_path: Path, option: str, fix: str) -> None:
+    with Broker(tmp_path, more=(option,)) as broker:
+        assert fix in trouble(broker.port).fix
+
+
+@pytest.mark.broker
+def test_a_broker_without_room(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path, more=("max_connections 1",)) as broker,
+        Subscriber(broker.port, f"{BASE}/#"),
+    ):
+        found = trouble(broker.port)
+    assert "max_connections" in found.fix
+
+
 def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:
     with HostileBroker(bytes_max=5000, echo=True) as broker:
         assert ask(broker.port)[0]["broker round trip"].state == "warning"

@@ -89,6 +89,29 @@ class TestUp:
                 "reason_code": "starting",
             }
 
+    def test_what_somebody_deletes_is_published_again(self, rig: Rig, broker: Broker) -> None:
+        own = {"state": b"online", "info": b'{"a":1}', "status/camera": b'{"state":"away"}'}
+        for topic, payload in own.items():
+            rig.link.set_retained(topic, payload)
+        with Subscriber(broker.port, f"{BASE}/#") as other:
+            for topic, payload in own.items():
+                wait_until(lambda t=topic: other.of(f"{BASE}/{t}"), 3, topic)
+                before = len(other.of(f"{BASE}/{topic}"))
+                other.publish(f"{BASE}/{topic}", b"", retain=True)
+                wait_until(
+                    lambda t=topic, p=payload, n=before: other.of(f"{BASE}/{t}")[n:] == [b"", p],
+                    5,
+                    topic,
+                )
+            other.publish(f"{BASE}/status/of-another", b"", retain=True)
+            other.publish(f"{BASE}/state", b"", retain=True)
+            other.wait_for(f"{BASE}/state", 4)
+            assert other.of(f"{BASE}/status/of-another") == [b""]
+        with Subscriber(broker.port, f"{BASE}/#") as late:
+            for topic, payload in own.items():
+                assert late.wait_for(f"{BASE}/{topic}") == [payload]
+        assert rig.link.counters()["bad_requests"] == 0
+
     def test_a_stream_is_wanted_while_someone_listens(self, rig: Rig, broker: Broker) -> None:
         assert rig.link.has_listener("height")  # nothing is known yet
         unheard(rig, "height")

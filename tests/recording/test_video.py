@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from support.recordings import read_all
 from tacshade_edge.camera.file_source import FilesSource
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.recording.recording import Recording
+from tacshade_edge.recording.video import Video
 
 CONTAINERS = {"avi": "MJPG", "mp4": "mp4v", "mov": "mp4v", "mkv": "MJPG", "webm": "VP80"}
 # Matroska states milliseconds.
@@ -110,3 +112,17 @@ def test_a_table_keeps_its_pace_too(tmp_path: Path) -> None:
     assert first is not None
     assert second is not None
     assert second.t_ns - first.t_ns > 145_000_000
+
+
+def test_pictures_are_as_stored_whatever_way_up_a_video_is_to_be_shown(tmp_path: Path) -> None:
+    path = written(tmp_path, "mp4", 25.0, 3)
+    plain = [image for _, image in Video(path)]
+    data = path.read_bytes()
+    # The matrix of the track's header (ISO 14496-12, 8.3.2): a quarter turn, as phones write it.
+    at = data.index(b"tkhd") + 44
+    turn = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 48 << 16, 0, 1 << 30)
+    path.write_bytes(data[:at] + turn + data[at + len(turn) :])
+    turned = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    assert turned.read()[1].shape == (64, 48, 3)
+    for found, stored in zip(Video(path), plain, strict=True):
+        np.testing.assert_array_equal(found[1], stored)

@@ -72,6 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     text = "address of the page at a proxy: https://hand.example.org"
     add_option(parser, "--origin", "URL", text, _origin, action="append", default=[])
+    text = "address of a page that may show this one in a frame: http://homeassistant.local:8123"
+    add_option(parser, "--embed-in", "URL", text, _origin, action="append", default=[])
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,11 +91,7 @@ def run(args: argparse.Namespace) -> int:
         )
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
-    token = read_token(args.token_file) if args.token_file else None
-    # Anyone may open the page on the machine itself; elsewhere only who has a token.
-    is_new = token is None and (is_opened or args.token_file is not None)
-    if is_new:
-        token = make_token(args.token_file)
+    token, is_new = _token(args.token_file, is_opened=is_opened)
     read_only = token is not None and not args.allow_control
 
     def listening(host: str, port: int) -> None:
@@ -118,12 +116,24 @@ def run(args: argparse.Namespace) -> int:
             # In the loop's thread: a signal's own handler may not touch an Event.
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         access = {"tls": tls, "token": token, "read_only": read_only, "recordings": args.recordings}
+        access["embed_in"] = frozenset(args.embed_in)
         await server.run(
             broker, args.host, args.http, frozenset(args.origin), listening, stop, **access
         )
 
     asyncio.run(serve())
     return 0
+
+
+def _token(file: Path | None, *, is_opened: bool) -> tuple[str | None, bool]:
+    """The token that opens the page, None without one, and whether it is new.
+
+    Raises ConfigError.
+    """
+    token = read_token(file) if file else None
+    # Anyone may open the page on the machine itself; elsewhere only who has a token.
+    is_new = token is None and (is_opened or file is not None)
+    return make_token(file) if is_new else token, is_new
 
 
 def _tls(ca_file: Path) -> ssl.SSLContext:

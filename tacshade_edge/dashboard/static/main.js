@@ -20,6 +20,7 @@ import { Recordings } from "./recordings.js";
 import { isRemoved, remove, restore } from "./retired.js";
 import { Rezero } from "./rezero.js";
 import { UNMEASURED, showContact, showNames, showRates, withName } from "./tiles.js";
+import { decodedPart, store, stored } from "./stored.js";
 import { TouchPanel } from "./touch.js";
 import { Whole } from "./hand_view.js";
 import { decode } from "./wire.js";
@@ -73,7 +74,7 @@ function take(topic, payload, retained) {
   if (whole.take(topic, payload)) return topic.endsWith("/state") ? showTabs() : undefined;
   const [, sensor, ...rest] = topic.split("/"), what = rest.join("/");
   if (what === "state" || what === "info") {
-    if (!sensors.has(sensor) && sensors.size >= SENSORS_MAX && sensor !== decodeURIComponent(location.hash.slice(1))) undecodable++;
+    if (!sensors.has(sensor) && sensors.size >= SENSORS_MAX && sensor !== decodedPart(location.hash.slice(1))) undecodable++;
     else if (what === "state") takeNews(sensor, { state: cut(text.decode(payload), 40) || undefined });
     else json(payload, (info) => takeNews(sensor, { info }), checkInfo);
   }
@@ -175,7 +176,7 @@ function takeNews(sensor, news) {
   if (works(sensor)) restore(sensor);
   if (isRemoved(sensor)) return showTabs();
   // The sensor in the address; without one, the first that works, rather than one that is long gone.
-  const wanted = decodeURIComponent(location.hash.slice(1));
+  const wanted = decodedPart(location.hash.slice(1));
   if (wanted ? !known && sensor === wanted : works(sensor) && !works(chosen) && view.heard_ms === null) choose(sensor);
   if (chosen === null && whole.shown === null) choose(sensor);
   showTabs();
@@ -271,9 +272,9 @@ function showTabs() {
 }
 
 function follow() {
-  const wanted = decodeURIComponent(location.hash.slice(1));
+  const wanted = decodedPart(location.hash.slice(1));
   if (sensors.has(wanted)) choose(wanted);
-  else if (location.hash.startsWith(WHOLE)) chooseWhole(decodeURIComponent(location.hash.slice(WHOLE.length)));
+  else if (location.hash.startsWith(WHOLE)) chooseWhole(decodedPart(location.hash.slice(WHOLE.length)));
 }
 window.addEventListener("hashchange", follow);
 follow();
@@ -539,10 +540,10 @@ $("session").elements.abort.addEventListener("click", () => {
 
 $("health").addEventListener("toggle", () => updateHealth());
 $("read-only").hidden = !READ_ONLY;
-$("range").value = localStorage.getItem("tacshade-range") ?? "auto";
+$("range").value = stored("tacshade-range") ?? "auto";
 if ($("range").value === "") $("range").value = "auto";
 $("range").addEventListener("change", () => {
-  localStorage.setItem("tacshade-range", $("range").value);
+  store("tacshade-range", $("range").value);
   if (!view.map) return;
   heights.draw(view.map, view.drawnFor);
   skin.setSkin(view.map, view.drawnFor, heights.scale_mm);

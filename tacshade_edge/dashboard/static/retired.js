@@ -1,9 +1,20 @@
 // Sensors that this browser no longer shows. Their retained topics remain: only a sensor may clear its own.
 
-const KEPT = "tacshade-removed";
-const removed = new Set(JSON.parse(localStorage.getItem(KEPT) ?? "[]"));
+import { store, stored } from "./stored.js";
 
-const keep = () => localStorage.setItem(KEPT, JSON.stringify([...removed]));
+const KEPT = "tacshade-removed";
+const removed = new Set(known());
+
+const keep = () => store(KEPT, JSON.stringify([...removed]));
+
+/** The names that were kept; none if what is kept is no list. */
+function known() {
+  try {
+    const names = JSON.parse(stored(KEPT) ?? "[]");
+    return Array.isArray(names) ? names.filter((name) => typeof name === "string") : [];
+  }
+  catch { return []; }
+}
 
 export const isRemoved = (sensor) => removed.has(sensor);
 

@@ -1,0 +1,75 @@
+"""Commands whose output or log goes to a full disk, to a closed pipe or nowhere."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.painted_sensor import painted_calibration
+from tacshade_edge.calibration.files import calibration_file
+
+QUICK = {
+    "version": "--version",
+    "help": "--help",
+    "help of a command": "replay --help",
+    "a long list": "simulate --help",
+    "completion": "completion bash",
+    "settings": "check-config s.yaml",
+    "schema": "check-config --schema",
+    "pictures": "doctor a.png --calibration c.npz --profile fast",
+    "doctor": "doctor --config none.yaml",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("streams")
+    calibration = painted_calibration()
+    calibration_file.save(folder / "c.npz", calibration)
+    (folder / "s.yaml").write_text("calibration: c.npz\nsource: {kind: simulated}\n")
+    import cv2
+    import numpy as np
+
+    shape = calibration.image_height_px, calibration.image_width_px
+    cv2.imwrite(str(folder / "a.png"), np.zeros(shape, np.uint8))
+    return folder
+
+
+def run(folder: Path, words: str, redirect: str) -> subprocess.CompletedProcess[str]:
+    line = f"{sys.executable} -m tacshade_edge {words} {redirect}"
+    return subprocess.run(
+        ["bash", "-c", line], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", QUICK.values(), ids=QUICK)
+def test_no_stream_gives_a_traceback(folder: Path, words: str) -> None:
+    usual = run(folder, words, "")
+    full = run(folder, words, "> /dev/full")
+    assert full.returncode == 1
+    assert "Traceback" not in full.stderr
+    (said,) = [line for line in full.stderr.splitlines() if "standard output" in line]
+    assert said == "tacshade-edge: standard output: No space left on device"
+    assert "Exception ignored" not in full.stderr
+    piped = run(folder, words, "| true; exit ${PIPESTATUS[0]}")
+    assert piped.returncode in (usual.returncode, 1)
+    assert "Traceback" not in piped.stderr
+    assert "Exception ignored" not in piped.stderr
+    for redirect in (">&-", "2> /dev/full", "2>&-", "<&- >&- 2>&-"):
+        closed = run(folder, words, redirect)
+        assert closed.returncode == usual.returncode, redirect
+        assert "Traceback" not in closed.stderr
+        if ">&-" not in redirect or redirect == "2>&-":
+            assert closed.stdout == usual.stdout
+
+
+def test_a_full_disk_is_named(folder: Path) -> None:
+    full = run(folder, "--version", "> /dev/full")
+    assert (full.returncode, full.stderr) == (
+        1,
+        "tacshade-edge: standard output: No space left on device\n",
+    )
