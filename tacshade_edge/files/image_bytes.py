@@ -36,7 +36,9 @@ _DEEP: Final = (
     b"P6",
 )
 # A dark image's hot pixels do not count.
-_DARK_GREY, _HOT_PART = 16, 0.001
+_DIM_GREY, _HOT_PART = 64, 0.001
+# Programs that scale values of fewer bits to 16 repeat them in the low bits, or leave those empty.
+_LOW_BITS, _GREY_REPEATED = 3, 257
 
 # OpenCV's own lines on stderr would add to our one.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -76,22 +78,26 @@ def decode_image(data: bytes, flags: int) -> U8:
         raise DecodeError(
             f"found {len(data)} bytes that are damaged or not an image, expected a whole image"
         )
-    if data.startswith(_DEEP) and np.count_nonzero(image >= _DARK_GREY) <= image.size * _HOT_PART:
+    if data.startswith(_DEEP) and np.count_nonzero(image >= _DIM_GREY) <= image.size * _HOT_PART:
         _check_depth(cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_ANYDEPTH))
     return np.asarray(image, np.uint8)
 
 
 def _check_depth(image: NDArray[Any] | None) -> None:
-    """Refuse 16-bit pixels that hold values of 9 to 12 bits:
-    their upper 8 bits would be nearly black.
+    """Refuse 16-bit pixels that hold values of 9 to 14 bits, of which the upper 8 bits would be
+    dark.
     """
     most = (
         0
         if image is None or image.dtype != np.uint16
         else int(np.quantile(image, 1 - _HOT_PART, method="lower"))
     )
-    if 0 < most < 1 << 12:
-        bits = 10 if most < 1 << 10 else 12
+    if image is None or not 0 < most < 1 << 14:
+        return
+    # A dark picture of all 16 bits is no mistake.
+    is_scaled = not np.any(image & _LOW_BITS) or not np.any(image % _GREY_REPEATED)
+    if most < 1 << 12 or not is_scaled:
+        bits = next(bits for bits in (10, 12, 14) if most < 1 << bits)
         raise DecodeError(
             f"found values up to {most} in 16-bit pixels, expected the full 16 bits; "
             f"multiply {bits}-bit values by {1 << 16 - bits}"

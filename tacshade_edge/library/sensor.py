@@ -73,6 +73,7 @@ class Sensor:
             raise wrong("profile", profile, f"one of {', '.join(sorted(PROFILES))}")
         if outline not in get_args(Outline):
             raise wrong("outline", outline, f"one of {', '.join(get_args(Outline))}")
+        self._made_of = calibration, profile, outline
         self._reconstructor = make_reconstructor(calibration, profile_with(profile, outline))
         # Never waited for: the reconstructor's scratch buffers hold one frame, and a thread that
         # waits here would hide that it needs a sensor of its own.
@@ -80,6 +81,10 @@ class Sensor:
         self.profile = profile
         self.geometry: Geometry = calibration.geometry
         self.image_size_px = (calibration.image_height_px, calibration.image_width_px)
+
+    def __reduce__(self) -> tuple[type[Sensor], tuple[Calibration, str, Outline]]:
+        """Pickle it as what it was made of; what it has tracked stays behind."""
+        return type(self), self._made_of
 
     def __repr__(self) -> str:
         """The sensor in a line, for people."""

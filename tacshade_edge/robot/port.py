@@ -34,11 +34,13 @@ class SerialPort:
 
     `device`: a path under /dev, preferably under /dev/serial/by-id; or a pyserial URL
     (``socket://HOST:PORT``). `baud`: bits per second; USB devices without a UART ignore it.
+    `dtr`: False keeps DTR and RTS low while it is open.
     """
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, *, dtr: bool = True) -> None:
         self.device = device
         self.baud = baud
+        self._dtr = dtr
         self._low_latency = False
         self._proven = False
         self._port: serial.Serial | None = None
@@ -66,6 +68,8 @@ class SerialPort:
             port.timeout, port.write_timeout = READ_S, WRITE_S
             # A second program would take some of the bytes, and both would see garbage.
             port.exclusive = True
+            # Before it is open: else pyserial raises both as it opens.
+            port.dtr = port.rts = self._dtr
             port.open()
         except ValueError as error:  # pyserial: the port does not support this rate
             raise ConfigError(

@@ -22,7 +22,7 @@ def make_serial_port(settings: Serial | None) -> SerialPort | None:
         return None
     from tacshade_edge.robot.port import SerialPort
 
-    return SerialPort(settings.device, settings.baud)
+    return SerialPort(settings.device, settings.baud, dtr=settings.dtr)
 
 
 def check_serial(document: Document) -> None:

@@ -114,6 +114,13 @@ class Serial(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     baud: Annotated[
         int, Meta(ge=1200, le=4_000_000, description="bits per second; USB devices ignore it")
     ] = 115200
+    dtr: Annotated[
+        bool,
+        Meta(
+            description="false: keep the lines DTR and RTS low, with which opening the port resets "
+            "some boards"
+        ),
+    ] = True
 
 
 class Settings(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -47,6 +47,25 @@ def test_values_of_ten_or_twelve_bits_in_16_are_refused(
     assert not read_image(path).any()
 
 
+def test_values_of_fourteen_bits_in_16_are_refused_and_dark_pictures_are_not(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "deep.png"
+    grey = PICTURE[:, :, 0].astype(np.uint16)
+    fine = (grey << 6) + np.arange(64, dtype=np.uint16)
+    cv2.imwrite(str(path), fine)
+    with pytest.raises(
+        DecodeError, match=r"found values up to 16\d+ .*multiply 14-bit values by 4$"
+    ):
+        read_image(path)
+    cv2.imwrite(str(path), fine * 4)
+    np.testing.assert_array_equal(read_image(path), grey)
+    # Dark pictures of all 16 bits: 8 bits repeated, and 14 bits shifted.
+    for dark, shown in ((grey // 4 * 257, grey // 4), (fine // 4 * 4, grey // 4)):
+        cv2.imwrite(str(path), dark)
+        np.testing.assert_array_equal(read_image(path), shown)
+
+
 def tiff(picture: np.ndarray, thumbnail: np.ndarray | None = None, **more: Any) -> bytes:
     stream = io.BytesIO()
     with tifffile.TiffWriter(stream, byteorder=more.pop("byteorder", "<")) as writer:

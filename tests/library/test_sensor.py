@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import pickle
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -170,3 +171,14 @@ def test_the_outline_is_the_papers_if_it_is_asked_for(calibration: Path) -> None
         ts.ConfigError, match="outline: found 'otsu', expected one of network, kmeans"
     ):
         ts.load(calibration, outline="otsu")  # type: ignore[arg-type]
+
+
+def test_a_sensor_goes_to_other_processes(sensor: ts.Sensor) -> None:
+    image = pressed("cube", 2.0).image
+    sent = pickle.loads(pickle.dumps(sensor))
+    assert repr(sent) == repr(sensor)
+    np.testing.assert_array_equal(
+        sent.reconstruct(image).height_mm, sensor.reconstruct(image).height_mm
+    )
+    result = sensor.reconstruct(image)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(result)).height_mm, result.height_mm)

@@ -8,11 +8,15 @@ import sys
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import serial
 
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.robot.port import SerialPort
+from tacshade_edge.robot.ports import make_serial_port
+from tacshade_edge.settings import Serial
 
 
 @pytest.fixture
@@ -107,3 +111,23 @@ def test_without_a_robot_there_is_no_pyserial(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("dtr", [True, False])
+def test_the_lines_that_reset_a_board_stay_low_where_the_settings_say_so(dtr: bool) -> None:
+    settings = Serial(device="loop://", baud=9600, dtr=dtr)
+    with pytest.MonkeyPatch.context() as patch:
+        opened = list[serial.SerialBase]()
+        made = serial.serial_for_url
+
+        def kept(*words: Any, **options: Any) -> serial.SerialBase:
+            opened.append(made(*words, **options))
+            return opened[-1]
+
+        patch.setattr(serial, "serial_for_url", kept)
+        port = make_serial_port(settings)
+        assert port is not None
+        port.open()
+        # pyserial's loop has DTR wired to DSR, and RTS to CTS.
+        assert (opened[-1].dsr, opened[-1].cts) == (dtr, dtr)
+        port.close()
