@@ -66,7 +66,7 @@ def stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
-@pytest.mark.parametrize("release", ["ROS2_JAZZY", "ROS2_KILTED"])
+@pytest.mark.parametrize("release", ["ROS2_JAZZY", "ROS2_KILTED", "ROS2_LYRICAL"])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_the_hashes_are_those_of_the_definitions(kind: made.RosType, release: str) -> None:
     assert store(release).hash_rihs01(kind.name) == kind.rihs01
