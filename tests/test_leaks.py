@@ -29,7 +29,7 @@ from tacshade_edge.settings import load
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
 FIRST, TIMES = 3, 20
 UNFINISHED = (".part", ".owner", ".tmp")
-SUBSCRIPTIONS = "$SYS/broker/subscriptions/count"
+SUBSCRIPTIONS, UPTIME = "$SYS/broker/subscriptions/count", "$SYS/broker/uptime"
 Again = Callable[[int], object]
 
 
@@ -42,7 +42,7 @@ def held(pid: int, folder: Path) -> Counter[str]:
             found[f"descriptor of {os.readlink(descriptor).partition(':')[0]}"] += 1
     found["locks"] = Path("/proc/locks").read_text().split().count(str(pid))
     found["unfinished files"] = sum(path.name.endswith(UNFINISHED) for path in folder.rglob("*"))
-    found["shared memory"] = len(list(Path("/dev/shm").glob(f"*{pid}*")))
+    found["shared memory"] = (proc / "maps").read_text().count(" /dev/shm/")
     return found
 
 
@@ -69,10 +69,15 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 @pytest.fixture
 def subscriptions(broker: Broker) -> Iterator[Callable[[], Counter[str]]]:
-    """How many the broker has."""
-    with Subscriber(broker.port, SUBSCRIPTIONS) as asked:
-        asked.wait_for(SUBSCRIPTIONS, 1, 10)
-        yield lambda: Counter(subscriptions=int(asked.of(SUBSCRIPTIONS)[-1]))
+    """How many the broker has now."""
+    with Subscriber(broker.port, "$SYS/broker/#") as asked:
+
+        def counted() -> Counter[str]:
+            # It says the count when that has changed, and the other each second.
+            asked.wait_for(UPTIME, len(asked.of(UPTIME)) + 2, 10)
+            return Counter(subscriptions=int(asked.of(SUBSCRIPTIONS)[-1]))
+
+        yield counted
 
 
 @pytest.fixture

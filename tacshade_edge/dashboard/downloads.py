@@ -11,7 +11,7 @@ import logging
 import re
 import struct
 import termios
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from pathlib import Path
@@ -73,9 +73,20 @@ class Downloads:
         """The tar of a recording. Raises DeviceError."""
         return await self._read(lambda: tar_of(path))
 
-    async def _pieces(self, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
-        while piece := await self._read(lambda: _gathered(pieces)):
-            yield piece
+    @contextlib.asynccontextmanager
+    async def _pieces(
+        self, pieces: Generator[bytes, None, None]
+    ) -> AsyncIterator[AsyncIterator[bytes]]:
+        async def read() -> AsyncIterator[bytes]:
+            while piece := await self._read(lambda: _gathered(pieces)):
+                yield piece
+
+        try:
+            yield read()
+        finally:
+            # Of a download that broke off, a file stays open until garbage is collected.
+            # By a reader, as all that may block; if one is just reading, its end closes the file.
+            self._readers.submit(pieces.close)
 
     async def send(self, page: ServerConnection, tar: Tar) -> None:
         """Send a tar as messages. Raises DeviceError; logs a stall and closes the connection."""
@@ -83,8 +94,9 @@ class Downloads:
         if page.keepalive_task is not None:
             page.keepalive_task.cancel()
         with _stalls(page, tar):
-            async for piece in self._pieces(tar.pieces()):
-                await progressing(page, page.send(piece))
+            async with self._pieces(tar.pieces()) as pieces:
+                async for piece in pieces:
+                    await progressing(page, page.send(piece))
 
     async def answer(
         self, page: ServerConnection, tar: Tar, headers: Mapping[str, str], *, body: bool
@@ -107,13 +119,16 @@ class Downloads:
             page.transport.close()
             await progressing(page, asyncio.shield(page.connection_lost_waiter))
 
-    async def _send_body(self, page: ServerConnection, pieces: Iterator[bytes]) -> None:
+    async def _send_body(
+        self, page: ServerConnection, content: Generator[bytes, None, None]
+    ) -> None:
         try:
-            async for piece in self._pieces(pieces):
-                if page.transport.is_closing():
-                    return
-                page.transport.write(piece)
-                await progressing(page, page.drain())
+            async with self._pieces(content) as pieces:
+                async for piece in pieces:
+                    if page.transport.is_closing():
+                        return
+                    page.transport.write(piece)
+                    await progressing(page, page.drain())
         except DeviceError as error:
             # The status has been sent. What is cut short does not look whole.
             _log.warning("ended a download: %s", escaped(str(error)))

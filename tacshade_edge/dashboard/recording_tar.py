@@ -7,7 +7,7 @@ import hashlib
 import os
 import stat
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,7 +26,7 @@ class Tar:
     size_bytes: int
     etag: str
 
-    def pieces(self, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+    def pieces(self, start: int = 0, stop: int | None = None) -> Generator[bytes, None, None]:
         """The bytes from `start` to before `stop`, in pieces.
 
         Raises DeviceError if a file is unreadable or shorter than it was.

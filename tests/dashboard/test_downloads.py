@@ -24,6 +24,7 @@ from tacshade_edge.dashboard.downloads import DOWNLOADS_MAX
 from tacshade_edge.dashboard.recording_tar import tar_of
 
 pytestmark = pytest.mark.slow
+RUN = "/recordings/run.tar"
 LARGE_BYTES = 48 << 20
 """More than the kernel's buffers of both sides hold."""
 
@@ -95,6 +96,27 @@ async def test_only_a_stall_ends_a_download_and_the_log_names_it(
         assert got < LARGE_BYTES
         assert "ended the download of" in caplog.text
         assert (await asked(port, action="list"))["ok"]
+
+
+async def test_a_hundred_come_and_go_beside_one_that_reads_bytes_and_one_that_reads_all(
+    large: Path,
+) -> None:
+    descriptors = Path("/proc/self/fd")
+    before = len(list(descriptors.iterdir()))
+    got, whole = 0, tar_of(large / "run").size_bytes
+    async with running(recordings=large) as port, http(port, RUN) as slow:
+        async with http(port, RUN) as fast:
+            for k in range(100):
+                async with page(port) if k % 2 else http(port, RUN) as gone:
+                    await gone.read(k % 3)
+                assert len(await slow.read(1)) == 1
+                got += len(await fast.read(1 << 12))
+            while some := await fast.read(1 << 12):
+                got += len(some)
+        assert got > whole
+        assert (await asked(port, action="list"))["ok"]
+    while len(list(descriptors.iterdir())) > before:
+        await asyncio.sleep(0.01)
 
 
 async def test_pages_never_wait_for_downloads_and_too_many_are_refused(large: Path) -> None:
