@@ -10,6 +10,7 @@ from support.patience import wait_until
 from tacshade_edge.pipeline.observer import Reply
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot, SharedLine
+from tacshade_edge.types import QUANTITIES
 from tacshade_edge.wire.requests import Request
 
 
@@ -27,6 +28,7 @@ class Side:
             lambda: {"source": "streaming", "health": {"delivered_fps": 30.0}},
             lambda payload: self.reports.append(json.loads(payload)),
             lambda: None,
+            lambda: QUANTITIES,
             shared,
         )
 

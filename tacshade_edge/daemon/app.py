@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from operator import itemgetter
@@ -53,6 +53,7 @@ from tacshade_edge.wire.results import RequestResult
 if TYPE_CHECKING:
     from tacshade_edge.daemon.hand_process import FingerLine
     from tacshade_edge.robot.robot import SharedLine
+    from tacshade_edge.sensor.reconstruct import Reconstructor
 
 
 _log = logging.getLogger(__name__)
@@ -90,8 +91,9 @@ class App:
         self._home_assistant = HomeAssistant(
             self.link, settings.sensor_id, wanted=settings.mqtt.home_assistant
         )
+        self._running: Callable[[], Reconstructor | Reason] = lambda: self.active.reconstructor
         self._robot = parts.make_robot(
-            settings, self._events.request, self._status, self.link, self._missing, robot_line
+            settings, self._events.request, self._status, self.link, self._running, robot_line
         )
         self._recorder = parts.make_recorder(
             settings, self.link, self._robot, partial(self._events.put, "recorded")
@@ -107,7 +109,7 @@ class App:
         self._observers = self._in_order(parts.make_reporter(settings, hand_line))
         self._pipeline = Pipeline(
             source,
-            lambda: self.active.reconstructor,
+            self._running,
             self._observers,
             self.ledger,
             timings,
@@ -132,7 +134,7 @@ class App:
             self._use,
             self._publish_info,
             lambda: self._recorder.now() is not None,
-            running=lambda: self.active.reconstructor,
+            running=self._running,
         )
 
     def _in_order(self, reporter: FrameObserver | None) -> tuple[FrameObserver, ...]:
@@ -303,9 +305,7 @@ class App:
         return reconstructor if isinstance(reconstructor, Reason) else None
 
     def _look_for_calibration(self) -> None:
-        """If there is no calibration, use one that has appeared;
-        an unusable one is reported once.
-        """
+        """Use a calibration that has appeared; an unusable one is reported once."""
         path = self._document.settings.calibration
         if self._missing() is not None and self._calibration_watch.written(path):
             self._reload()

@@ -6,7 +6,7 @@ spends neither memory nor time on them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,7 @@ from tacshade_edge.wire.requests import Request
 if TYPE_CHECKING:
     from tacshade_edge.daemon.hand_process import FingerLine
     from tacshade_edge.robot.robot import Robot, SharedLine
+    from tacshade_edge.sensor.reconstruct import Reconstructor
     from tacshade_edge.stitching.session_worker import Sessions
 
 
@@ -50,7 +51,7 @@ def make_robot(
     on_request: Callable[[Request, Reply], None],
     status: Callable[[], dict[str, Any]],
     link: MqttLink,
-    missing: Callable[[], Reason | None],
+    reconstructor: Callable[[], Reconstructor | Reason],
     line: SharedLine | None,
 ) -> Robot | None:
     """The robot, if the settings name its port or another sensor shares it."""
@@ -60,8 +61,16 @@ def make_robot(
         return None
     from tacshade_edge.robot.robot import Robot  # imports pyserial
 
+    def missing() -> Reason | None:
+        made = reconstructor()
+        return made if isinstance(made, Reason) else None
+
+    def quantities() -> Sequence[str] | Reason:
+        made = reconstructor()
+        return made if isinstance(made, Reason) else made.quantities
+
     publish = partial(link.set_retained, "status/serial")
-    return Robot(port, on_request, status, publish, missing, line)
+    return Robot(port, on_request, status, publish, missing, quantities, line)
 
 
 def make_sessions(settings: Settings, link: MqttLink, robot: Robot | None) -> Sessions | None:

@@ -156,13 +156,16 @@ class Robot(FrameObserver):
         state: Callable[[], dict[str, Any]],
         publish_status: Callable[[bytes], None],
         missing: Callable[[], Reason | None],
+        quantities: Callable[[], Sequence[str] | Reason],
         shared: SharedLine | None = None,
     ) -> None:
         self._shared = shared
         self.motion = RobotMotion(shared.forward) if shared and shared.ends else RobotMotion()
         wake = port.wake if port else lambda: None
         self._touch = TouchEvents(port.baud if port else 0, wake)
-        self.commands = SerialCommands(self.motion, on_request, state, missing, wake, self._touch)
+        self.commands = SerialCommands(
+            self.motion, on_request, state, missing, quantities, wake, self._touch
+        )
         self._channel: SerialChannel | FollowingChannel
         if port:
             self._channel = SerialChannel(port, self.motion, self.commands)

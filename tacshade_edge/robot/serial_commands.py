@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, SimpleQueue
@@ -18,7 +18,7 @@ from tacshade_edge.robot.clock_sync import SyncState
 from tacshade_edge.robot.robot_motion import ClockExchanged, RobotMotion
 from tacshade_edge.robot.serial_link import SerialLink
 from tacshade_edge.robot.touch_events import TouchEvents
-from tacshade_edge.robot.verbs import VERBS, Command, TouchAsked
+from tacshade_edge.robot.verbs import VERBS, Command, TouchAsked, unknown_quantity
 from tacshade_edge.types import Frame, Reconstruction
 from tacshade_edge.wire.requests import Request
 from tacshade_edge.wire.results import CommandResult, FrameCaptured
@@ -37,6 +37,7 @@ class SerialCommands:
     on_request: Callable[[Request, Reply], None]  # starts what the main thread does
     state: Callable[[], dict[str, Any]]
     missing: Callable[[], Reason | None]
+    quantities: Callable[[], Sequence[str] | Reason]  # of a touch, by the calibration in use
     wake: Callable[[], None]  # called when an answer waits to be sent
     touch: TouchEvents
     # BEGIN, ADD, END, ABORT or STATUS, and a name. None without sessions, which are made after the
@@ -76,7 +77,8 @@ class SerialCommands:
         self.motion.hear(ClockExchanged(t1_ns, t2_ns, t3_ns, t4_ns))
 
     def switch_touch(self, asked: TouchAsked | None) -> CommandResult | Reason:
-        return self.touch.switch(asked)
+        unknown = None if asked is None else unknown_quantity(asked, self.quantities())
+        return unknown or self.touch.switch(asked)
 
     def capture(self, command: Command) -> None:
         # The first frame taken after the command arrived: one that was on its way shows what was

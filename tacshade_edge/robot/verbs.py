@@ -350,6 +350,20 @@ def _value_text(value: float | None) -> str:
     return next((text for text in texts if len(text) <= _VALUE_BYTES_MAX), UNKNOWN)
 
 
+def unknown_quantity(asked: TouchAsked, quantities: Sequence[str] | Reason) -> Reason | None:
+    """Why the calibration never gives one of the requested quantities; None if it gives all."""
+    if isinstance(quantities, Reason):
+        return quantities
+    unknown = next((name for name in asked.names if name not in quantities), None)
+    if unknown is None:
+        return None
+    text = (
+        f"found {unknown}, which this calibration has not learnt, expected one of "
+        f"{' '.join(quantities)}; calibrate --labels learns others"
+    )
+    return Reason(ReasonCode.UNAVAILABLE, text)
+
+
 def too_slow(asked: TouchAsked, baud: int) -> Reason | None:
     """Why a line of `baud` bits/s cannot carry the events at their longest; None if it can."""
     longest_bytes, most_bytes_s = event_bytes_max(asked.names), SHARE * baud / _BITS_PER_BYTE

@@ -24,7 +24,12 @@ from tacshade_edge.sensor.frame_check import Measured, first_reason, foreign_ski
 from tacshade_edge.sensor.geometry.disc_map import rays_in_image
 from tacshade_edge.sensor.look import Eye, Look, UnchangedSkin
 from tacshade_edge.sensor.profiles import NETWORK, Profile
-from tacshade_edge.sensor.touch.touch_answer import imprint_of, touch_by_model, touch_without_labels
+from tacshade_edge.sensor.touch.touch_answer import (
+    imprint_of,
+    quantities_of,
+    touch_by_model,
+    touch_without_labels,
+)
 from tacshade_edge.types import (
     F32,
     U8,
@@ -74,7 +79,7 @@ class Reconstructor:
     why it cannot be used, or what observes the features of each requested touch. A model may see
     less change than the gate requires of a contact. `grid` and `rays` are those of every height
     map, `changed_part` is the part of the picture that changed in the latest frame; `namer` names
-    the objects, if any were taught.
+    the objects, if any were taught; `quantities` are those that a touch can have, or why not.
     """
 
     def __init__(
@@ -93,13 +98,13 @@ class Reconstructor:
         self._unchanged = UnchangedSkin(
             reference.shape, eye.seen.calibration.geometry.disc, halved=eye.seen.camera_px > 1
         )
-        # Two means find an upper cluster in any map,
-        # so the gate decides whether there is a contact.
+        # Two means find an upper cluster in any map, so the gate decides on a contact.
         judges_contact = network is not None and profile.outline == NETWORK
         self.gate_part = eye.gate.least_part if judges_contact else eye.gate.plain_part
         self._touch = touch
         self._learns = callable(touch)
         self._needs_features = isinstance(touch, TouchModel) or self._learns
+        self.quantities = quantities_of(touch, has_shear=network is not None)
         self._touch_part = 0.0 if self._learns else 1.0
         if isinstance(touch, TouchModel):
             self._touch_part = touch.gate_part

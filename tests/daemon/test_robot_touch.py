@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import count
 
@@ -59,8 +59,10 @@ class Bench:
             dict,
             lambda _: None,
             lambda: self.missing,
+            lambda: self.quantities,
         )
         self.missing: Reason | None = None
+        self.quantities: Sequence[str] | Reason = ("depth_mm", "force_z_n")
         self._heard = b""
         self._numbers = count(1)
 
@@ -159,6 +161,19 @@ def test_what_is_refused(bench: Bench) -> None:
     assert not bench.robot.need()
     bench.missing = Reason(ReasonCode.NOT_CALIBRATED, "not calibrated: do that")
     assert bench.ask("TOUCH ON depth_mm") == "ERR 5 UNCALIBRATED not calibrated: do that"
+
+
+def test_a_quantity_that_the_calibration_has_not_learnt_is_refused(bench: Bench) -> None:
+    bench.quantities = ("depth_mm", "twist_deg")
+    assert bench.ask("TOUCH ON depth_mm force_z_n") == (
+        "ERR 1 UNAVAILABLE found force_z_n, which this calibration has not learnt, expected one of "
+        "depth_mm twist_deg; calibrate --labels learns others"
+    )
+    bench.quantities = Reason(ReasonCode.TOUCH_NETWORKS, "trained with other networks")
+    assert bench.ask("TOUCH ON depth_mm") == "ERR 2 REFUSED trained with other networks"
+    assert not bench.robot.need()
+    bench.quantities = ("force_z_n",)
+    assert bench.ask("TOUCH ON force_z_n") == "OK 3 on=1 rate_hz=60"
 
 
 def test_a_touch_that_waits_is_replaced_by_a_newer_one() -> None:

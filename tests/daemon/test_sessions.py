@@ -402,7 +402,7 @@ def test_an_open_session_of_a_robot_whose_pose_is_unknown(
     tmp_path: Path, ball: Reconstruction
 ) -> None:
     line = SerialRobot(
-        SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None
+        SerialPort("/dev/none", 115200), lambda *_: None, dict, lambda _: None, lambda: None, tuple
     )
     robot = Robot(tmp_path, poses=line)
     robot.show(ball)

@@ -161,7 +161,12 @@ def test_the_hosts_code_talks_to_the_daemon() -> None:
     wire = Wire()
     state = {"source": "streaming", "health": {"delivered_fps": 30.0}}
     robot = Robot(
-        SerialPort(wire.name, 115200), lambda *_: None, lambda: state, lambda _: None, lambda: None
+        SerialPort(wire.name, 115200),
+        lambda *_: None,
+        lambda: state,
+        lambda _: None,
+        lambda: None,
+        tuple,
     )
     robot.start()
     try:

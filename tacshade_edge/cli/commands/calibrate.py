@@ -368,7 +368,9 @@ def _print_lines(made: _Made) -> None:
     print(f"{'as shipped, ' if fitted else ''}{sentence(quality.line, WITH_OPTIONS)}")
     if used := fit and fit.profiles.get(DEFAULT):
         errors = f"{used.depth_mae_mm:.2f} mm on average, {used.depth_worst_mm:.2f} mm at worst"
-        print(f"  with {DEFAULT}, the profile of `run` and `reconstruct` by default: {errors}")
+        whose = f"the profile of `run`, its dashboard and `reconstruct` by default: {errors}"
+        # "At worst" is of these presses alone: the next one is compared with nothing yet.
+        print(f"  with {DEFAULT}, {whose} of these {used.presses}; others may be further off")
     if fitted:
         # Without networks, these lines are why the command fails.
         stream = sys.stdout if fitted.networks else sys.stderr

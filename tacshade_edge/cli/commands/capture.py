@@ -218,7 +218,14 @@ def _robot_poses(serial: Serial | None) -> Iterator[PoseAt | None]:
 
     statuses: list[bytes] = []
     state = {"source": "streaming", "health": {}}
-    robot = Robot(port, lambda *_: None, lambda: state, statuses.append, lambda: _CAPTURING)
+    robot = Robot(
+        port,
+        lambda *_: None,
+        lambda: state,
+        statuses.append,
+        lambda: _CAPTURING,
+        lambda: _CAPTURING,
+    )
 
     def pose_at(frame: Frame) -> Pose | str:
         if (pose := robot.with_interpolated_pose(frame).pose) is not None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.files import calibration_file
-from tacshade_edge.calibration.files.labels import read_labels
+from tacshade_edge.calibration.files.labels import LabelledImage, read_labels
 from tacshade_edge.calibration.presses.press_selection import MIN_PRESSES
 from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.cli.shared import study
@@ -25,6 +25,14 @@ from tacshade_edge.lab.simulator.press import OBJECTS
 from tacshade_edge.lab.studies.evaluate import accuracy
 from tacshade_edge.lab.studies.evaluate import labelled as labels
 from tacshade_edge.lab.studies.evaluate.score import Row
+from tacshade_edge.lab.studies.evaluate.touch_scores import (
+    TouchRow,
+    scored,
+    touch_agreements,
+    touch_rows,
+    touch_text,
+    unscored,
+)
 from tacshade_edge.lab.studies.evaluate.work import (
     PRESSES,
     REFERENCES,
@@ -32,11 +40,11 @@ from tacshade_edge.lab.studies.evaluate.work import (
     reconstructor,
     score_cases,
 )
-from tacshade_edge.lab.studies.markdown import csv_text
+from tacshade_edge.lab.studies.markdown import csv_text, without_nan
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import text_of
 from tacshade_edge.sensor.profiles import PROFILES
-from tacshade_edge.types import Frame
+from tacshade_edge.types import QUANTITIES, Calibration, Frame
 
 WORKING_SENSORS = "default,5,11,21"
 SIMULATED = ("sensors", "objects", "presses", "references", "cluster")
@@ -47,7 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     files = "evaluation.md, evaluation.csv and evaluation.json"
     study.add_arguments(parser, "default: all", files)
     own = parser.add_argument_group("your own frames with labels instead of surfaces")
-    add_option(own, "--labels", "CSV", f"table of image and any of {', '.join(labels.COLUMNS)}")
+    add_option(
+        own,
+        "--labels",
+        "CSV",
+        f"table of image and quantities, such as {', '.join(labels.COLUMNS)}",
+    )
     simulated = study.add_simulated(parser, WORKING_SENSORS, "all")
     add_option(simulated, "--presses", "N", "ball presses in each calibration (default: 40)", COUNT)
     add_option(simulated, "--references", "N", "references in each calibration (default: 8)", COUNT)
@@ -133,39 +146,88 @@ def _labelled(args: argparse.Namespace) -> int:
         args.parser.error("--labels requires --images DIR and --calibration CAL.npz")
     table, profiles = read_labels(args.labels, args.images), _profiles(args)
     calibration = loading.load(args.calibration, store=False)
-    study.check_out(args, "labels")
+    study.check_out(args, "labels", ["labels-touch.csv"])
+    found = _compared(calibration, profiles, table)
+    if not found.known:
+        raise ConfigError(
+            f"{args.labels}: found no readable image, expected at least one in {args.images}"
+        )
+    _publish_labelled(args, found)
+    # Of another sensor's calibration every frame is refused; a table of nothing would look like a
+    # result.
+    if not any(row.contact or not row.refused for some in found.rows.values() for row in some):
+        warn(
+            f"{args.images}: every frame is invalid, the first: {found.refused}; are they this "
+            "calibration's?"
+        )
+        return 1
+    return 1 if found.mistakes else 0
+
+
+@dataclass(slots=True)
+class _Compared:
+    """What each profile found in the labelled frames, and what no profile compares."""
+
+    rows: dict[str, list[labels.FoundRow]]
+    touches: dict[str, list[TouchRow]]
+    unscored: list[str]
+    known: list[Mapping[str, float]] = field(default_factory=list)
+    mistakes: int = 0
+    refused: str = ""
+
+
+def _compared(
+    calibration: Calibration, profiles: Sequence[str], table: Sequence[LabelledImage]
+) -> _Compared:
     # One for all frames: a network is loaded once.
     made = {profile: reconstructor(calibration, profile) for profile in profiles}
-    rows: dict[str, list[labels.FoundRow]] = {profile: [] for profile in profiles}
-    known, mistakes, refused, progress = [], 0, "", Progress()
+    columns = [name for name in QUANTITIES if any(name in each.known for each in table)]
+    names = {
+        profile: scored(one.quantities, columns, learnt=profile in calibration.touch)
+        for profile, one in made.items()
+    }
+    found = _Compared(
+        {profile: [] for profile in profiles},
+        {profile: [] for profile in profiles},
+        [
+            line
+            for profile, one in made.items()
+            for line in unscored(columns, profile, one.quantities, names[profile])
+        ],
+    )
+    progress = Progress()
     for k, each in enumerate(table):
         progress("frames", k, len(table))
         try:
             image = read_image(each.path)
         except DecodeError as error:
             progress.warn(error)
-            mistakes += 1
+            found.mistakes += 1
             continue
-        known.append(each.known)
+        found.known.append(each.known)
+        name = encodable(each.path.name)
         for profile, one in made.items():
             result = one.step(Frame(0, 0, 0, image))
-            refused = refused or text_of(result.reason)
-            rows[profile].append(labels.found_row(encodable(each.path.name), result))
+            found.refused = found.refused or text_of(result.reason)
+            found.rows[profile].append(labels.found_row(name, result))
+            found.touches[profile] += touch_rows(name, each.known, names[profile], result)
     progress("frames", len(table), len(table))
-    if not known:
-        raise ConfigError(
-            f"{args.labels}: found no readable image, expected at least one in {args.images}"
-        )
-    made_of = {profile: labels.agreements(some, known) for profile, some in rows.items()}
-    every = [row for some in rows.values() for row in some]
-    texts = labels.text(every, made_of), {"": csv_text(labels.FoundRow, every)}
-    study.publish(args, "labels", *texts, labels.document(every, made_of))
-    # Of another sensor's calibration every frame is refused; a table of nothing would look like a
-    # result.
-    if not any(row.contact or not row.refused for row in every):
-        warn(
-            f"{args.images}: every frame is invalid, the first: {refused}; are they this "
-            "calibration's?"
-        )
-        return 1
-    return 1 if mistakes else 0
+    return found
+
+
+def _publish_labelled(args: argparse.Namespace, found: _Compared) -> None:
+    made = {profile: labels.agreements(some, found.known) for profile, some in found.rows.items()}
+    touch = {profile: touch_agreements(some) for profile, some in found.touches.items()}
+    every = [row for some in found.rows.values() for row in some]
+    touches = [row for some in found.touches.values() for row in some]
+    text, files = labels.text(every, made), {"": csv_text(labels.FoundRow, every)}
+    document = labels.document(every, made)
+    document["touch"] = without_nan(
+        {name: [asdict(one) for one in some] for name, some in touch.items()}
+    )
+    if touches:
+        text += f"\n\n{touch_text(touch)}"
+        files["-touch"] = csv_text(TouchRow, touches)
+    study.publish(args, "labels", text, files, document)
+    for line in found.unscored:
+        warn(line)

@@ -50,6 +50,18 @@ other objects and real skins are worse.
 NO_IMPRINT = np.full(4, np.nan, np.float32)  # of a frame without contact, in a table
 
 
+def quantities_of(touch: object, *, has_shear: bool) -> tuple[str, ...] | Reason:
+    """Names of the quantities that a touch can have by its model, or why it has none; without a
+    model, those that need no labels.
+    """
+    if isinstance(touch, Reason):
+        return touch
+    if isinstance(touch, TouchModel):
+        return touch.names
+    # An object's twist is read off its shear.
+    return PLAIN if has_shear else PLAIN[:3]
+
+
 def imprint_of(objects: Sequence[TouchedObject], volume_mm3: float) -> F32:
     """Greatest depth, square root of area, cube root of volume, and length of the largest object:
     float32 (4,), mm.

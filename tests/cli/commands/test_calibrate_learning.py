@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import calibrated, simulated
+from support.csv_rows import csv_rows
 from support.networks import fitted_with
 from support.sensor_files import refused, rows_of, with_table
 from tacshade_edge.calibration import loading
@@ -264,6 +265,29 @@ def test_labels_are_learnt_and_a_new_reference_keeps_them(
     assert (
         calibration_file.load(renewed).touch["fast"].networks == calibration.touch["fast"].networks
     )
+    scored_by_what_was_learnt(out, labelled, tmp_path / "scored", capsys)
+
+
+def scored_by_what_was_learnt(
+    calibration: Path, labelled: Path, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`evaluate --labels` compares each label with the model, or says that it does not."""
+    capsys.readouterr()
+    given = ["--calibration", str(calibration), "--images", str(labelled)]
+    given += ["--labels", f"{labelled}/LABELS.csv", "--profile", "balanced", "--out", str(out)]
+    assert main(["evaluate", *given, "--json"]) == 0
+    printed = capsys.readouterr()
+    by_name = {one["quantity"]: one for one in json.loads(printed.out)["touch"]["balanced"]}
+    assert list(by_name) == ["depth_mm", "tilt_x_deg"]
+    for name, most in (("depth_mm", 0.15), ("tilt_x_deg", 2.0)):
+        assert by_name[name]["frames"] == LABELLED + 1
+        assert by_name[name]["error"] < most
+        assert by_name[name]["rank_correlation"] > 0.9
+    assert "force_z_n: not scored: the calibration's balanced has not learnt it" in printed.err
+    rows = csv_rows(out / "labels-touch.csv")
+    assert len(rows) == 2 * (LABELLED + 1)
+    assert list(rows[0]) == ["image", "profile", "quantity", "label", "touch", "sigma"]
+    assert "| balanced | depth_mm" in (out / "labels.md").read_text().replace("  ", "")
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,21 @@ def test_labelled_images_of_a_pad(pad: Path, capsys: pytest.CaptureFixture[str])
     assert row["depth_mm"] > 0
 
 
+def test_a_label_that_nothing_scores_is_said_to_be_so(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own / "LABELS.csv").write_text("image,depth_mm,twist_deg,force_z_n\ncoin.png,2,0,-3\n")
+    given = of_own(own, "--labels", str(own / "LABELS.csv"), "--profile", "balanced", "--json")
+    assert main(given) == 0
+    printed = capsys.readouterr()
+    (touch,) = json.loads(printed.out)["touch"]["balanced"]
+    assert (touch["quantity"], touch["frames"]) == ("twist_deg", 1)
+    assert without_progress(printed.err) == [
+        "tacshade-edge: force_z_n: not scored: the calibration's balanced has not learnt it; "
+        "`calibrate --labels` learns it from frames"
+    ]
+
+
 def test_invalid_images_are_refused_one_by_one_and_exit_1(
     own: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ def say() -> Callable[[str], str]:
         lambda *_: None,
         lambda: {"source": "streaming", "health": {"delivered_fps": 29.97}},
         lambda: missing,
+        lambda: missing,
         lambda: None,
         TouchEvents(115200, lambda: None),
     )
