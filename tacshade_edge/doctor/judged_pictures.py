@@ -12,6 +12,7 @@ import numpy as np
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.images import read_image
+from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, reason_fields
 from tacshade_edge.sensor.frame_check import Measured, first_reason, size_reason
 from tacshade_edge.sensor.inference.network import make_reconstructor
@@ -31,6 +32,9 @@ _TURNS: Final[Mapping[str, Callable[[U8], U8]]] = {
     ),
 }
 """Each way in which another program may have turned a picture, by how it is undone."""
+
+UNEXPLAINED_MOST = 1.0
+"""A map that leaves this share of a picture's change unexplained is as good as none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,29 @@ def figures(judged: Sequence[Judged]) -> list[str]:
             f"{refused:>8}"
         )
     return lines
+
+
+def doubts(left: Mapping[Path, float]) -> tuple[list[str], bool]:
+    """What the shares that maps leave unexplained say of pictures, in lines, and whether most maps
+    explain nothing: then one line names the likely cause, instead of one for each picture.
+    """
+    if not left:
+        return [], False
+    low, high = 100 * min(left.values()), 100 * max(left.values())
+    lines = [f"maps leave {low:.0f} to {high:.0f} % of {len(left)} pictures' changes unexplained"]
+    wrong = {path: share for path, share in left.items() if share >= UNEXPLAINED_MOST}
+    if 1 < len(left) < 2 * len(wrong):
+        lines.append(
+            f"{len(wrong)} of {len(left)} maps explain their pictures no better than no contact: "
+            "are these pictures of this calibration's sensor?"
+        )
+        return lines, True
+    lines += [
+        f"{shown(path)}: its map explains the picture no better than no contact "
+        f"({100 * share:.0f} % left)"
+        for path, share in wrong.items()
+    ]
+    return lines, False
 
 
 def limits_of(least: float, most: float) -> str:

@@ -18,7 +18,9 @@ from tacshade_edge.types import F32, U8, Calibration, Disc, Geometry, HeightMap,
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 44, 14, 20, 36
 BAR_WIDTH_PX = 12
-TILE_PX, SHEET_COLUMNS, SHEET_TILES = 150, 4, 60
+TILE_PX, SHEET_COLUMNS, SHEET_TILES = 200, 4, 60
+# Beside the disc, of its radius: its edge shows whether the circle is right.
+_AROUND_DISC = 1.03
 # Up to this size a small reference is enlarged: its markers are a few pixels wide.
 SEEN_PX = 900
 _FOUND, _OUTLINE, _PLACE = (0, 230, 255), (90, 200, 90), (255, 120, 255)
@@ -135,21 +137,26 @@ def panel(image: U8, result: Reconstruction, geometry: Geometry) -> U8:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One picture of a contact sheet: its thumbnail, uint8 (H, W, 3) BGR, its map,
-    and a line of text.
+    """One picture of a contact sheet: its thumbnail, uint8 (H, W, 3) BGR, its map, the part of the
+    image that both show, and a line of text.
     """
 
     thumbnail: U8
     height: HeightMap
     image_size_px: tuple[int, int]
+    part: tuple[slice, slice]
     text: str
 
 
-def tile(name: str, image: U8, result: Reconstruction) -> Tile:
-    """The tile of an image, uint8 (H, W) or (H, W, 3) BGR."""
+def tile(name: str, image: U8, result: Reconstruction, disc: Disc) -> Tile:
+    """The tile of an image, uint8 (H, W) or (H, W, 3) BGR, around its disc."""
     rows, cols = image.shape[:2]
+    radius = _AROUND_DISC * disc.radius_px
+    part = _around(disc.row_c, radius, rows), _around(disc.col_c, radius, cols)
+    seen = image[part]
+    high, wide = seen.shape[:2]
     small = cv2.resize(
-        image, (TILE_PX, max(round(rows * TILE_PX / cols), 1)), interpolation=cv2.INTER_AREA
+        seen, (TILE_PX, max(round(high * TILE_PX / wide), 1)), interpolation=cv2.INTER_AREA
     )
     found = (
         f"{result.depth_max_mm:.2f} mm"
@@ -161,8 +168,15 @@ def tile(name: str, image: U8, result: Reconstruction) -> Tile:
         _bgr(np.asarray(small, np.uint8)),
         result.height,
         (cols, rows),
+        part,
         text,
     )
+
+
+def _around(middle_px: float, radius_px: float, length_px: int) -> slice:
+    """The pixels within a radius, at least one of them."""
+    first = min(max(math.floor(middle_px - radius_px), 0), length_px - 1)
+    return slice(first, max(min(math.ceil(middle_px + radius_px) + 1, length_px), first + 1))
 
 
 def contact_sheet(tiles: Sequence[Tile]) -> U8:
@@ -174,7 +188,7 @@ def contact_sheet(tiles: Sequence[Tile]) -> U8:
     for each in tiles:
         rows, cols = each.thumbnail.shape[:2]
         map_ = cv2.resize(
-            _coloured(each.height, each.image_size_px, top),
+            _coloured(each.height, each.image_size_px, top)[each.part],
             (cols, rows),
             interpolation=cv2.INTER_AREA,
         )

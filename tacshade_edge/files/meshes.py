@@ -1,4 +1,4 @@
-"""Triangles as STL and points as binary PLY."""
+"""Triangles as STL, points and surfaces as binary PLY."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import read_regular
-from tacshade_edge.types import F32, F64, U16
+from tacshade_edge.types import F32, F64, U8, U16
 
 MAX_TRIANGLES = 200_000
 # A binary file: 80 bytes of any text, the number of triangles, then these.
@@ -128,3 +128,39 @@ def ply_rows(points_mm: F32 | F64, labels: U16 | None = None) -> bytes:
     if labels is not None:
         made["object"] = labels
     return made.tobytes()
+
+
+def surface_ply(points_mm: F32, height_mm: F32, colour_bgr: U8, comment: str) -> bytes:
+    """A PLY file of the surface through a map's points (rows, cols, 3) in mm: two triangles for
+    each four neighbours that have a height, (rows, cols), counter-clockwise from outside; each
+    vertex has its height as ``quality`` and a colour (rows, cols, 3).
+    """
+    known = np.isfinite(height_mm) & np.isfinite(points_mm).all(axis=-1)
+    number = np.cumsum(known).reshape(known.shape).astype(np.int32) - 1
+    vertices = np.empty(
+        np.count_nonzero(known),
+        [(name, "<f4") for name in ("x", "y", "z", "quality")]
+        + [(name, "u1") for name in ("blue", "green", "red")],
+    )
+    for at, name in enumerate("xyz"):
+        vertices[name] = points_mm[known, at]
+    vertices["quality"] = height_mm[known]
+    for at, name in enumerate(("blue", "green", "red")):
+        vertices[name] = colour_bgr[known, at]
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    corners = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
+    a, b, c, d = (each[whole] for each in corners)
+    faces = np.empty(2 * len(a), [("corners", "u1"), ("vertices", "<i4", 3)])
+    faces["corners"] = 3
+    faces["vertices"] = np.concatenate((np.stack((a, b, c), 1), np.stack((b, d, c), 1)))
+    kinds = {"<f4": "float", "|u1": "uchar"}
+    assert vertices.dtype.names is not None
+    properties = "".join(
+        f"property {kinds[vertices.dtype[name].str]} {name}\n" for name in vertices.dtype.names
+    )
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
+        f"element vertex {len(vertices)}\n{properties}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return head.encode() + vertices.tobytes() + faces.tobytes()

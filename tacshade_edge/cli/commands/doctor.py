@@ -8,7 +8,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,7 +25,7 @@ from tacshade_edge.cli.shared.options import (
 from tacshade_edge.doctor import Finding, State
 from tacshade_edge.doctor.bundle import Seen, write_bundle
 from tacshade_edge.doctor.diagnose import SETTINGS, diagnose
-from tacshade_edge.doctor.judged_pictures import figures, judge_pictures
+from tacshade_edge.doctor.judged_pictures import doubts, figures, judge_pictures
 from tacshade_edge.doctor.machine import Machine
 from tacshade_edge.doctor.tail import check_tail, measure_tail
 from tacshade_edge.errors import ConfigError
@@ -39,8 +39,6 @@ from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.settings import load
 from tacshade_edge.types import Calibration
 
-UNEXPLAINED_MOST = 1.0
-"""A map that leaves this share of a picture's change unexplained is as good as none."""
 _COLOURS: dict[State, int] = {"ok": 32, "warning": 33, "fault": 31}
 
 
@@ -152,12 +150,14 @@ def _calibration(args: argparse.Namespace) -> Calibration:
 
 def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_json: bool) -> int:
     """Print what the judges say of each picture, then which maps do not explain theirs;
-    return 1 if a picture is refused.
+    return 1 if a picture is refused, or most maps explain nothing.
     """
+    foreign = False
     judged = list(judge_pictures(calibration, profile, images_in(paths)))
     passing = [each.path for each in judged if not each.reason]
     if as_json:
         left = _shares_left(calibration, profile, passing)
+        _, foreign = doubts(left)
         records = [each.as_dict() | {"unexplained": left.get(each.path)} for each in judged]
         print(json.dumps(records, indent=2))
     else:
@@ -171,21 +171,10 @@ def _judge(calibration: Calibration, profile: str, paths: Sequence[Path], *, as_
         print(f"{len(passing)} of {len(judged)} pass", flush=True)
         # Finding a print takes up to a minute: whoever wants no more than the judges has read them
         # by now.
-        _print_doubts(_shares_left(calibration, profile, passing))
-    return EXIT_FAILED if len(passing) < len(judged) else EXIT_OK
-
-
-def _print_doubts(left: Mapping[Path, float]) -> None:
-    if not left:
-        return
-    low, high = 100 * min(left.values()), 100 * max(left.values())
-    print(f"maps leave {low:.0f} to {high:.0f} % of {len(left)} pictures' changes unexplained")
-    for path, share in left.items():
-        if share >= UNEXPLAINED_MOST:
-            print(
-                f"{shown_path(path)}: its map explains the picture no better than no contact "
-                f"({100 * share:.0f} % left)"
-            )
+        lines, foreign = doubts(_shares_left(calibration, profile, passing))
+        for line in lines:
+            print(line)
+    return EXIT_FAILED if foreign or len(passing) < len(judged) else EXIT_OK
 
 
 def _shares_left(

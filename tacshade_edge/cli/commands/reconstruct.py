@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,24 +15,38 @@ import numpy as np
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.cli import EXIT_FAILED, EXIT_OK
-from tacshade_edge.cli.shared.options import add_flag, add_option, add_outline, add_profile
+from tacshade_edge.cli.shared.options import add_flag, add_option, add_outline, add_profile, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
-from tacshade_edge.files.drawing import SHEET_TILES, Tile, contact_sheet, panel, tile, write_picture
+from tacshade_edge.files.drawing import (
+    SHEET_TILES,
+    Tile,
+    colours,
+    contact_sheet,
+    panel,
+    tile,
+    write_picture,
+)
 from tacshade_edge.files.images import images_in, read_image
+from tacshade_edge.files.meshes import surface_ply
 from tacshade_edge.files.targets import check_folder, owned_folder
 from tacshade_edge.pipeline.ledger import StageTimer
 from tacshade_edge.quoting import encodable
 from tacshade_edge.reasons import ReasonCode, code_of, text_of
 from tacshade_edge.recording.runs import summary
+from tacshade_edge.sensor.geometry.disc import skin_points
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import profile_with
-from tacshade_edge.types import Calibration, Frame, Reconstruction
-
-SHEET = "contact-sheet.png"
+from tacshade_edge.sensor.reconstruct import Reconstructor
+from tacshade_edge.types import U8, Calibration, Frame, Geometry, Reconstruction
 
 _SUMMARY = "summary.json"
+
+
+def sheet_name(number: int) -> str:
+    """The file of a contact sheet, from 0."""
+    return f"contact-sheet-{number + 1}.png" if number else "contact-sheet.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,10 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, "--out", "DIR", "folder for summary.json and one .npz file per image", required=True
     )
     text = (
-        "also write a picture of each image's height map, "
-        f"and {SHEET} of at most {SHEET_TILES} images"
+        "also write a picture of each image's height map, and contact sheets of "
+        f"{SHEET_TILES} images each: {sheet_name(0)}, {sheet_name(1)}, ..."
     )
     add_flag(parser, "--plot", text)
+    text = "also write the skin of each usable image as a surface in mm, STEM.ply"
+    add_flag(parser, "--mesh", text)
     add_flag(parser, "--json", "print the summary as JSON")
     add_option(
         parser,
@@ -63,19 +80,25 @@ def run(args: argparse.Namespace) -> int:
     images = images_in(args.images)
     _check_names(images)
     calibration = loading.load(args.calibration)
-    ends = (".npz", ".png") if args.plot else (".npz",)
+    ends = (".npz", *[".png"] * args.plot, *[".ply"] * args.mesh)
     named = (f"{path.stem}{end}" for path in images for end in ends)
-    check_folder(args.out, (_SUMMARY, SHEET, *named))
+    sheets = (sheet_name(k) for k in range(math.ceil(len(images) / SHEET_TILES)))
+    check_folder(args.out, (_SUMMARY, *sheets, *named))
     done = _Done()
     with owned_folder(args.out, "reconstruct"), disk_errors(args.out):
         # It describes all files beside it: an old one must not stand beside new files.
         (args.out / _SUMMARY).unlink(missing_ok=True)
         _reconstruct(args, calibration, images, done)
         if done.tiles:
-            write_picture(args.out / SHEET, contact_sheet(done.tiles))
+            _write_sheet(args.out, done)
         text = json.dumps(done.records, indent=2) + "\n"
         write_whole(args.out / _SUMMARY, text.encode())
     print(text if args.json else f"{args.out}: {done.in_words(len(images))}\n", end="")
+    if 1 < done.invalid == len(done.records):
+        warn(
+            f"every image is invalid: are they of {args.calibration}'s sensor? `tacshade-edge "
+            "doctor IMG... --calibration CAL.npz` shows which judge refuses them"
+        )
     return EXIT_FAILED if done.invalid or done.unreadable else EXIT_OK
 
 
@@ -84,7 +107,8 @@ class _Done:
     """What the images gave so far."""
 
     records: list[dict[str, Any]] = field(default_factory=list)
-    tiles: list[Tile] = field(default_factory=list)
+    tiles: list[Tile] = field(default_factory=list)  # of the next sheet
+    sheets: int = 0
     unreadable: int = 0
     invalid: int = 0
 
@@ -96,7 +120,8 @@ class _Done:
         measured = len(self.records) - self.invalid
         found = f"{measured} of {images} images reconstructed, {contacts} in contact"
         found += f", {unmeasured} touched (depth unknown)" if unmeasured else ""
-        return f"{found}, {self.invalid} invalid, {self.unreadable} unreadable"
+        found += f", {self.invalid} invalid, {self.unreadable} unreadable"
+        return f"{found}; {self.sheets} contact sheets" if self.sheets > 1 else found
 
 
 def _check_names(images: Sequence[Path]) -> None:
@@ -114,8 +139,6 @@ def _reconstruct(
 ) -> None:
     """Reconstruct each image, write its files, and add what it gave to `done`."""
     reconstructor = make_reconstructor(calibration, profile_with(args.profile, args.outline))
-    # All, or evenly spread.
-    on_sheet = {index * len(images) // SHEET_TILES for index in range(SHEET_TILES)}
     progress, timer = Progress(), StageTimer()
     for index, path in enumerate(images):
         try:
@@ -130,11 +153,10 @@ def _reconstruct(
         elapsed_ms = {stage: round(ms, 4) for stage, ms in timer.ms.items()}
         _write(args.out / f"{path.stem}.npz", result)
         if args.plot:
-            drawn = panel(image, result, calibration.geometry)
-            write_picture(args.out / f"{path.stem}.png", drawn)
-            # The map of a picture of another size would not lie over it.
-            if index in on_sheet and code_of(result.reason) != ReasonCode.SIZE:
-                done.tiles.append(tile(path.stem, image, result))
+            _draw(args.out, path.stem, image, result, calibration.geometry, done)
+        # The height of an invalid image is 0, as of the untouched skin.
+        if args.mesh and result.valid:
+            _write_surface(args.out / f"{path.stem}.ply", result, reconstructor)
         named = encodable(str(path))
         done.records.append({"image": named, **summary(result), "elapsed_ms": elapsed_ms})
         # Its record reports this too, but its height is 0 everywhere, as of no contact.
@@ -143,6 +165,32 @@ def _reconstruct(
             done.invalid += 1
         progress("images", index + 1, len(images))
     progress.end()
+
+
+def _draw(
+    out: Path, stem: str, image: U8, result: Reconstruction, geometry: Geometry, done: _Done
+) -> None:
+    write_picture(out / f"{stem}.png", panel(image, result, geometry))
+    # The map of a picture of another size would not lie over it.
+    if code_of(result.reason) != ReasonCode.SIZE:
+        done.tiles.append(tile(stem, image, result, geometry.disc))
+    if len(done.tiles) == SHEET_TILES:
+        _write_sheet(out, done)
+
+
+def _write_sheet(out: Path, done: _Done) -> None:
+    write_picture(out / sheet_name(done.sheets), contact_sheet(done.tiles))
+    done.sheets += 1
+    done.tiles.clear()
+
+
+def _write_surface(path: Path, result: Reconstruction, reconstructor: Reconstructor) -> None:
+    height_mm = result.height.height_mm
+    points_mm = skin_points(height_mm, reconstructor.rays, reconstructor.calibration.geometry)
+    top = max(float(np.nanmax(height_mm, initial=0.0)), 0.1)
+    comment = "skin in millimetres, sensor frame; quality is the height in mm"
+    coloured = colours(height_mm, 0.0, top, 255)
+    write_whole(path, surface_ply(points_mm, height_mm, coloured, comment), sync=False)
 
 
 def _write(path: Path, result: Reconstruction) -> None:

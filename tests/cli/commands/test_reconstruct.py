@@ -160,6 +160,41 @@ def test_a_folder_is_its_images_in_order_and_bad_ones_are_counted_and_named(
     assert "empty: found no image" in capsys.readouterr().err
 
 
+def test_more_pictures_than_a_sheet_holds_are_on_the_next(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tacshade_edge.cli.commands.reconstruct.SHEET_TILES", 2)
+    out = tmp_path / "out"
+    assert main([*words(folder, out, "ball", "two", "free"), "--plot"]) == 0
+    assert capsys.readouterr().out.endswith("0 unreadable; 2 contact sheets\n")
+    sheets = [cv2.imread(str(out / f"contact-sheet{end}.png")) for end in ("", "-2")]
+    assert sheets[0].shape[1] == sheets[1].shape[1]
+    assert not (out / "contact-sheet-3.png").exists()
+
+
+def test_a_surface_is_the_skin_in_mm(folder: Path, tmp_path: Path) -> None:
+    assert main([*words(folder, tmp_path, "ball", "black"), "--mesh"]) == 1
+    assert not (tmp_path / "black.ply").exists()
+    head, _, data = (tmp_path / "ball.ply").read_bytes().partition(b"end_header\n")
+    counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]
+    vertex = np.dtype([("xyz", "<f4", 3), ("quality", "<f4"), ("bgr", "u1", 3)])
+    vertices = np.frombuffer(data, vertex, counts[0])
+    faces = np.frombuffer(data, [("n", "u1"), ("at", "<i4", 3)], offset=vertices.nbytes)
+    assert len(faces) == counts[1]
+    assert (faces["n"] == 3).all()
+    with np.load(tmp_path / "ball.npz") as npz:
+        height_mm, contact, points_mm = npz["height_mm"], npz["contact"], npz["points_mm"]
+    np.testing.assert_array_equal(vertices["quality"], height_mm[np.isfinite(height_mm)])
+    touched = vertices["xyz"][contact[np.isfinite(height_mm)]]
+    apart_mm = np.linalg.norm(touched[:, None] - points_mm[None], axis=2)
+    assert apart_mm.min(axis=0).max() < 1e-3
+    a, b, c = np.moveaxis(vertices["xyz"][faces["at"]].astype(float), 1, 0)
+    assert np.median(np.cross(b - a, c - a)[:, 2]) > 0  # seen from outside
+
+
 def test_pictures_of_another_size_are_named_and_the_rest_is_on_the_sheet(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -176,7 +211,9 @@ def test_pictures_of_another_size_are_named_and_the_rest_is_on_the_sheet(
         f"size: found {width}x{height} px, expected the calibration's 320x240 px"
         for width, height in sizes
     )
-    assert capsys.readouterr().err.count(": invalid: size: found ") == len(sizes)
+    said = capsys.readouterr().err
+    assert said.count(": invalid: size: found ") == len(sizes)
+    assert f"every image is invalid: are they of {folder}/cal.npz's sensor?" in said
     assert main([*words(folder, tmp_path / "ball", "ball"), "--plot"]) == 0
     assert main([*words(folder, out, "ball"), str(given), "--plot"]) == 1
     alone, sheet = (
