@@ -1,4 +1,4 @@
-# make demo    a simulated hand, live in a browser (Python only, never root)
+# make demo    one simulated sensor, live in a browser (Python only, never root)
 # make check   format, lint, types, layers and the tests without a mark: 40 s on two cores
 # make coverage   what part of each room the quick tests run; half as long again as make check
 # make docs    the site of docs/, built strictly into out/site

@@ -56,6 +56,8 @@ class DaemonState:
     reason: str = ""  # why the daemon is not online
     fps: float = 0.0  # frames per second that it last delivered
     place: str = "in an unknown place"  # where it runs
+    pid: int | None = None  # of its process, if it runs on this machine
+    elsewhere: bool = False  # it runs on another machine
     rival: str = ""  # where another one runs that waits for the same name
     published: dict[str, bytes] = field(
         default_factory=dict, compare=False
@@ -167,6 +169,10 @@ def judge_daemon(daemon: DaemonState, process: Process | None, sensor_id: str) -
         )
         fix = "stop one of the two daemons, or give its sensor another sensor_id"
         return warning("daemon", f"{found} {daemon.rival}", fix)
+    strange = process is not None and daemon.pid not in (None, process.pid)
+    if daemon.alive and process is not None and (strange or daemon.elsewhere):
+        found = f"{process} runs here, but {sensor_id} is {daemon.state} {daemon.place}"
+        return warning("daemon", found, "run doctor there, or give this sensor another sensor_id")
     if process is None and daemon.alive:
         fix = "stop the other daemon, or give this sensor another sensor_id"
         return warning(
@@ -304,7 +310,8 @@ def _daemon_state(session: _Session) -> DaemonState:
     names = ("health", "status/camera", "status/broker", "instance", "status/rival")
     health, camera, link, instance, rival = (_json(published.get(name, b"")) for name in names)
     # Whoever may publish here may publish anything: nothing of it is taken for granted.
-    fps = health.get("delivered_fps", 0.0)
+    fps, pid = health.get("delivered_fps", 0.0), instance.get("process")
+    here = instance.get("host") == socket.gethostname()
     return DaemonState(
         published.get("state", b"").decode(errors="replace")[:20],
         str(camera.get("reason") or link.get("reason") or health.get("degraded_reason") or "")[
@@ -312,6 +319,8 @@ def _daemon_state(session: _Session) -> DaemonState:
         ],
         float(fps) if isinstance(fps, int | float) else 0.0,
         place_of(instance),
+        pid if here and isinstance(pid, int) else None,
+        bool(instance.get("host")) and not here,
         place_of(rival) if rival else "",
         published,
     )

@@ -135,7 +135,7 @@ def _check_broker(document: Document, machine: Machine, seen: Seen) -> Findings:
     findings, seen.daemon = check_broker(links.broker_address(document), sensor_id)
     if any(finding.state == "fault" for finding in findings):
         return findings
-    return (*findings, judge_daemon(seen.daemon, machine.daemon(), sensor_id))
+    return (*findings, judge_daemon(seen.daemon, machine.daemon(seen.daemon.pid), sensor_id))
 
 
 def check_settings(

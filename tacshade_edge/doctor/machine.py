@@ -80,17 +80,20 @@ class Machine:
         except OSError:
             return False
 
-    def daemon(self) -> Process | None:
-        """The process of ``tacshade-edge run`` on this machine; None if none runs."""
-        for process in self.processes():
-            # The program may follow `python -m`, or an interpreter of its own.
-            for program, command in pairwise(process.words[:4]):
-                if (
-                    os.path.basename(program) in ("tacshade-edge", "tacshade_edge")
-                    and command == "run"
-                ):
-                    return process
-        return None
+    def daemon(self, pid: int | None = None) -> Process | None:
+        """The process of ``tacshade-edge run`` on this machine, of several that with number `pid`,
+        else the first; None if none runs.
+        """
+        running = [process for process in self.processes() if _is_daemon(process)]
+        return next((one for one in running if one.pid == pid), next(iter(running), None))
+
+
+def _is_daemon(process: Process) -> bool:
+    # The program may follow `python -m`, or an interpreter of its own.
+    return any(
+        os.path.basename(program) in ("tacshade-edge", "tacshade_edge") and command == "run"
+        for program, command in pairwise(process.words[:4])
+    )
 
 
 def may_use(path: Path) -> bool:

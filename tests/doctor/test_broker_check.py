@@ -257,6 +257,19 @@ def test_tls(tmp_path: Path) -> None:
             "one is running on a, and the other is waiting on b",
         ),
         (DaemonState("offline"), True, "warning", "left is not online at the broker"),
+        (
+            DaemonState("online", place="on a, process 9", pid=9),
+            True,
+            "warning",
+            "process 5 (tacshade-edge run) runs here, but left is online on a, process 9",
+        ),
+        (
+            DaemonState("online", place="on b, process 5", elsewhere=True),
+            True,
+            "warning",
+            "process 5 (tacshade-edge run) runs here, but left is online on b, process 5",
+        ),
+        (DaemonState("online", pid=5), True, "ok", "running, process 5 (tacshade-edge run)"),
     ],
 )
 def test_the_daemon(daemon: DaemonState, running: bool, state: str, found: str) -> None:

@@ -57,6 +57,13 @@ def test_the_daemon_is_distinguished_from_other_commands(
     assert (daemon is not None and daemon.pid == 7) is found
 
 
+def test_of_several_daemons_the_one_that_is_named_is_found(machine: Any) -> None:
+    for pid in (7, 8, 9):
+        machine.process(pid, *(("tacshade-edge", "run") if pid != 9 else ("sh",)))
+    found = [machine.daemon(pid) for pid in (8, 9, None)]
+    assert [each.pid for each in found] == [8, 7, 7]
+
+
 def test_the_fix_names_the_devices_group_and_the_user(tmp_path: Path) -> None:
     device = tmp_path / "device"
     device.touch()
