@@ -12,6 +12,7 @@ rules=${LIB:-/etc}/udev/rules.d
 # source and target
 files=(
   "tacshade-edge.service $lib/systemd/system/tacshade-edge.service"
+  "tacshade-dashboard.service $lib/systemd/system/tacshade-dashboard.service"
   "tacshade-edge.sysusers $lib/sysusers.d/tacshade-edge.conf"
   "99-tacshade.rules $rules/99-tacshade.rules"
 )
@@ -44,7 +45,7 @@ install_all() {
 }
 
 uninstall_all() {
-  live && { systemctl disable --quiet --now tacshade-edge.service 2>/dev/null || true; }
+  live && { systemctl disable --quiet --now tacshade-edge.service tacshade-dashboard.service 2>/dev/null || true; }
   for line in "${files[@]}"; do rm -f "$dest${line#* }"; done
   for line in "${edited[@]}"; do
     read -r from to <<<"$line"

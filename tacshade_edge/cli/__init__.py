@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from tacshade_edge.cli.shared.journal import complain
 from tacshade_edge.cli.streams import STDOUT, drop_stdout
 from tacshade_edge.errors import ConfigError, TacshadeError
 from tacshade_edge.quoting import escaped, shown
@@ -63,6 +64,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "replay",
         "reconstruct a recording again and write or publish the results, or compare two runs",
     ),
+    "backup": (
+        "backup",
+        "save a board's settings, calibrations, objects and maps in one file, or restore them",
+    ),
     "export": ("export", "convert a recording to MCAP, CSV or PLY for other tools"),
     "dashboard": (
         "dashboard",
@@ -99,8 +104,8 @@ def _report_requirements(problems: Sequence[str], *, as_json: bool) -> int:
         print(json.dumps([check | {"found": problem} for problem in problems], indent=2))
     else:
         for problem in problems:
-            print(f"tacshade-edge: {escaped(problem, _CHARS_MAX)}", file=sys.stderr)
-        print(f"tacshade-edge: {PACKAGES_FIX}", file=sys.stderr)
+            complain(f"tacshade-edge: {escaped(problem, _CHARS_MAX)}")
+        complain(f"tacshade-edge: {PACKAGES_FIX}")
     return EXIT_CONFIG
 
 
@@ -151,7 +156,7 @@ def _run(module: Any, args: argparse.Namespace) -> int:
         if args.command != "doctor":
             raise
         found = escaped(f"{type(error).__name__}: {error}", _CHARS_MAX)
-        print(f"tacshade-edge: doctor ended early: {found}", file=sys.stderr)
+        complain(f"tacshade-edge: doctor ended early: {found}")
         return code
 
 
@@ -179,10 +184,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(module, args)
     except ConfigError as error:
         for line in (str(error), *error.others):
-            print(f"tacshade-edge: {escaped(line, _CHARS_MAX)}", file=sys.stderr)
+            complain(f"tacshade-edge: {escaped(line, _CHARS_MAX)}")
         return EXIT_CONFIG
     except TacshadeError as error:
-        print(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}", file=sys.stderr)
+        complain(f"tacshade-edge: {escaped(str(error), _CHARS_MAX)}")
         return EXIT_FAILED
     except BrokenPipeError:
         # The reader of our output closed it, as `| head` does.
@@ -196,7 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             drop_stdout()
         elif error.filename is None or args.command == "run":
             raise
-        print(f"tacshade-edge: {shown(error.filename)}: {error.strerror}", file=sys.stderr)
+        complain(f"tacshade-edge: {shown(error.filename)}: {error.strerror}")
         return EXIT_CONFIG if error.errno in _MISTAKES else EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

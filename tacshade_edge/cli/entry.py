@@ -10,10 +10,12 @@ import os
 import resource
 import sys
 import threading
+import traceback
 from types import TracebackType
 from typing import NoReturn
 
 from tacshade_edge.cli import EXIT_CONFIG, EXIT_FAILED, main
+from tacshade_edge.cli.shared.journal import complain, is_journal
 from tacshade_edge.cli.streams import STDOUT, flush_stdout, prepare_streams
 
 # With less address space, most of which is never used, OpenCV crashes as it is loaded, or OpenBLAS
@@ -32,7 +34,7 @@ def entry() -> NoReturn:
         found, _ = resource.getrlimit(limit)
         if 0 <= found < least:
             text = f"found at most {found >> shift} {what}, expected at least {least >> shift}"
-            print(f"tacshade-edge: {text}", file=sys.stderr)
+            complain(f"tacshade-edge: {text}")
             sys.exit(EXIT_CONFIG)
     sys.excepthook = _defect
     try:
@@ -49,7 +51,7 @@ def _printed(code: int) -> int:
     except BrokenPipeError:
         return EXIT_FAILED
     except OSError as error:
-        print(f"tacshade-edge: {STDOUT}: {error.strerror}", file=sys.stderr)
+        complain(f"tacshade-edge: {STDOUT}: {error.strerror}")
         return EXIT_FAILED
     return code
 
@@ -69,7 +71,10 @@ def _defect(kind: type[BaseException], error: BaseException, trace: TracebackTyp
     """Handle an uncaught error: print a traceback and exit with 1,
     which Python does by itself if no thread is left.
     """
-    sys.__excepthook__(kind, error, trace)
+    if is_journal():
+        complain("".join(traceback.format_exception(kind, error, trace)).rstrip())
+    else:
+        sys.__excepthook__(kind, error, trace)
     _end_if_threads_are_left(EXIT_FAILED)
 
 

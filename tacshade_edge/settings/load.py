@@ -92,7 +92,14 @@ def load(path: Path, sensor_id: str | None = None) -> Document:
 
 def load_all(path: Path) -> tuple[Document, ...]:
     """Read and check a settings file with one sensor or several. Raises ConfigError like `load`."""
-    file = strict_yaml.read(path)
+    try:
+        file = strict_yaml.read(path)
+    except ConfigError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        # Whoever has none yet may not know what writes one.
+        how = "tacshade-edge capture FOLDER writes FOLDER/config.yaml for a new sensor"
+        raise ConfigError(f"{error}; {how}", code=error.code) from None
     # By the key alone: a mistake below it then has the line that it has in such a file.
     several = isinstance(file.value, dict) and SENSORS in file.value
     parts = split(file) if several else [file]

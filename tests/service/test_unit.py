@@ -28,10 +28,15 @@ def analyze(*words: str | Path) -> str:
     return done.stdout + done.stderr
 
 
-def unit(folder: Path, old: str = PROGRAM, new: str = sys.executable) -> Path:
+def unit(
+    folder: Path,
+    old: str = PROGRAM,
+    new: str = sys.executable,
+    name: str = "tacshade-edge.service",
+) -> Path:
     """The unit with a program that exists here."""
-    text = (FILES / "tacshade-edge.service").read_text().replace(PROGRAM, sys.executable)
-    path = folder / "tacshade-edge.service"
+    text = (FILES / name).read_text().replace(PROGRAM, sys.executable)
+    path = folder / name
     path.write_text(text.replace(old, new))
     return path
 
@@ -56,8 +61,14 @@ def test_nor_of_what_lets_it_use_other_devices(tmp_path: Path, name: str) -> Non
 
 
 @needs_analyze
-def test_its_exposure_is_at_most_the_promised(tmp_path: Path) -> None:
-    report = analyze("security", "--offline=true", "--no-pager", unit(tmp_path))
+def test_nor_of_the_dashboards(tmp_path: Path) -> None:
+    assert analyze("verify", unit(tmp_path, name="tacshade-dashboard.service")) == ""
+
+
+@needs_analyze
+@pytest.mark.parametrize("name", ["tacshade-edge.service", "tacshade-dashboard.service"])
+def test_its_exposure_is_at_most_the_promised(tmp_path: Path, name: str) -> None:
+    report = analyze("security", "--offline=true", "--no-pager", unit(tmp_path, name=name))
     (exposure,) = re.findall(r"exposure level for \S+: ([\d.]+)", report)
     assert 0.1 < float(exposure) <= EXPOSURE_MAX
 
@@ -82,6 +93,7 @@ def test_install_twice_and_uninstall(tmp_path: Path) -> None:
     first = tree(tmp_path)
     assert set(first) == {
         "usr/local/lib/systemd/system/tacshade-edge.service",
+        "usr/local/lib/systemd/system/tacshade-dashboard.service",
         "usr/local/lib/sysusers.d/tacshade-edge.conf",
         "etc/udev/rules.d/99-tacshade.rules",
         "etc/tacshade-edge/config.yaml",
@@ -100,6 +112,7 @@ def test_a_packages_files_lie_where_those_of_packages_do(tmp_path: Path) -> None
     install(tmp_path, LIB="/usr/lib")
     assert {name for name in tree(tmp_path) if not name.startswith("etc/")} == {
         "usr/lib/systemd/system/tacshade-edge.service",
+        "usr/lib/systemd/system/tacshade-dashboard.service",
         "usr/lib/sysusers.d/tacshade-edge.conf",
         "usr/lib/udev/rules.d/99-tacshade.rules",
     }

@@ -138,10 +138,12 @@ def test_the_mistake_of_any_mapping_is_a_single_line(
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        ConfigError, match=r"none\.yaml: No such file or directory, expected a settings file"
+        ConfigError,
+        match=r"none\.yaml: No such file or directory, expected a settings file; tacshade-edge "
+        r"capture FOLDER writes FOLDER/config\.yaml for a new sensor$",
     ):
         load(tmp_path / "none.yaml")
-    with pytest.raises(ConfigError, match=r"Is a directory, expected a settings file"):
+    with pytest.raises(ConfigError, match=r"Is a directory, expected a settings file$"):
         load(tmp_path)
 
 

@@ -24,7 +24,7 @@ from support.booted_machine import LOCK
 from support.calibrated_sensor import calibrated, pressed
 from support.patience import patience
 from tacshade_edge.calibration.files import calibration_file
-from tools.release import bill, distributions
+from tools.release import bill, distributions, package_debian
 from tools.release.version import UNKNOWN, version, version_of
 
 ROOT = Path(__file__).parents[2]
@@ -266,3 +266,12 @@ def test_everything_is_a_wheel_with_its_hashes() -> None:
     for requirement, hashes in entries():
         assert hashes, requirement
         assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", one) for one in hashes)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("shtab") is None, reason="shtab is not installed")
+def test_debians_package_completes_commands(tmp_path: Path) -> None:
+    package_debian.completion(tmp_path / "completions")
+    script = (tmp_path / "completions" / "tacshade-edge").read_text()
+    assert "complete " in script
+    assert "backup" in script

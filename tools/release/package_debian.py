@@ -114,6 +114,7 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
         shutil.copy(TREE / "systemd" / name, root / APP / "systemd")
     (root / "usr/bin").mkdir(parents=True)
     (root / "usr/bin/tacshade-edge").symlink_to(f"/{APP}/bin/tacshade-edge")
+    completion(root / "usr/share/bash-completion/completions")
     about = root / "usr/share/doc/tacshade-edge"
     about.mkdir(parents=True)
     (about / "copyright").write_text(COPYRIGHT + (TREE / "LICENSE").read_text())
@@ -138,6 +139,14 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
     (root / "DEBIAN/conffiles").write_text("".join(f"/{name}\n" for name in CONFFILES))
     for name in SCRIPTS:
         shutil.copy(TREE / "systemd/debian" / name, root / "DEBIAN")
+
+
+def completion(folder: Path) -> None:
+    """Bash's completion of the commands and their options, which a board cannot make itself."""
+    folder.mkdir(parents=True)
+    words = (sys.executable, "-m", "tacshade_edge", "completion", "bash")
+    made = subprocess.run(words, cwd=TREE, capture_output=True, check=True)
+    (folder / "tacshade-edge").write_bytes(made.stdout)
 
 
 def environment(app: Path, wheel: Path, machine: str, python: str) -> None:

@@ -5,11 +5,8 @@ text from outside is escaped.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import logging
-import os
 import re
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +14,7 @@ from datetime import datetime
 from typing import Any, Final, TextIO
 
 from tacshade_edge import libsystemd
+from tacshade_edge.cli.shared.journal import is_journal
 from tacshade_edge.quoting import escaped
 
 # Where sd_journal_sendv(3) writes.
@@ -70,7 +68,7 @@ def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) ->
     handler: logging.Handler
     # A process of one sensor need not repeat its name; the journal still gets it as a field.
     of = sensor_id if each_line else ""
-    if not _is_journal():
+    if not is_journal():
         handler = OneLineHandler(stamped=True, of=of)
     elif library := libsystemd.module("journal"):
         handler = FieldsHandler(library.send, of=of, sensor_id=sensor_id)
@@ -81,14 +79,6 @@ def start_logging(level: int, sensor_id: str = "", *, each_line: bool = True) ->
     # At level DEBUG, these libraries would log every packet and its content.
     for name in ("asyncio", "websockets", "paho"):
         logging.getLogger(name).setLevel(max(level, logging.INFO))
-
-
-def _is_journal() -> bool:
-    """Whether stderr goes to journald: systemd names the device and inode of its stream."""
-    with contextlib.suppress(OSError, ValueError):
-        found = os.fstat(sys.stderr.fileno())
-        return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
-    return False
 
 
 @dataclass(slots=True)

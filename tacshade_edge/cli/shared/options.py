@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import urlsplit
 
+from tacshade_edge.cli.shared.journal import WARNING, complain
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, NETWORK, PROFILES, Outline
 from tacshade_edge.version import how_to_install
@@ -22,7 +23,7 @@ DEFAULT_CONFIG = Path("/etc/tacshade-edge/config.yaml")
 
 
 def warn(line: object) -> None:
-    print(f"tacshade-edge: {line}", file=sys.stderr, flush=True)
+    complain(f"tacshade-edge: {line}", WARNING)
 
 
 NEXT_FIT = (

@@ -1,0 +1,108 @@
+"""A board's backup, restored on another board."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tacshade_edge.cli import main
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    """A board with one sensor: paths that count from the settings, a map, taught objects."""
+    folder = tmp_path / "board"
+    (folder / "maps" / "pad-1").mkdir(parents=True)
+    (folder / "config.yaml").write_text(
+        "sensor_id: left\ncalibration: cal.npz\nstitching: {folder: maps}\n"
+    )
+    (folder / "cal.npz").write_bytes(b"calibration")
+    (folder / "cal.objects.npz").write_bytes(b"objects")
+    (folder / "maps" / "pad-1" / "map.ply").write_bytes(b"map")
+    return folder
+
+
+def backed_up(board: Path) -> Path:
+    out = board.parent / "board.zip"
+    assert main(["backup", str(out), "--config", str(board / "config.yaml")]) == 0
+    return out
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_another_board_gets_all_of_it(
+    board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = backed_up(board)
+    assert "4 files; passwords and certificates are not in it" in capsys.readouterr().out
+    other = tmp_path / "other"
+    (other / "maps").mkdir(parents=True)
+    (other / "config.yaml").write_text("sensor_id: new\n")
+    words = ["backup", "--restore", str(out), "--config", str(other / "config.yaml")]
+    assert main(words) == 0
+    assert "4 files restored; next: sudo systemctl restart" in capsys.readouterr().out
+    assert contents(other) == contents(board) | {"config.yaml.replaced": b"sensor_id: new\n"}
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith("0 files restored")
+
+
+def test_a_backup_is_never_overwritten(board: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = backed_up(board)
+    assert main(["backup", str(out), "--config", str(board / "config.yaml")]) == 78
+    assert f"{out}: already exists, expected a new name" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("left/maps/../../stolen", b"x", "found left/maps/../../stolen, expected a file of one"),
+        ("right/calibration.npz", b"x", "found right/calibration.npz, expected a file of one"),
+        ("left/other.npz", b"x", "expected a file of one of the sensors in its settings.yaml"),
+    ],
+)
+def test_what_belongs_nowhere_is_refused_before_anything_is_written(
+    board: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    content: bytes,
+    said: str,
+) -> None:
+    out = backed_up(board)
+    with zipfile.ZipFile(out, "a") as file:
+        file.writestr(name, content)
+    config = tmp_path / "other" / "config.yaml"
+    assert main(["backup", "--restore", str(out), "--config", str(config)]) == 1
+    assert said in capsys.readouterr().err
+    assert contents(config.parent) == {}
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda data: data[: len(data) // 2], "not a zip file"),
+        (lambda data: data[:60] + bytes([data[60] ^ 255]) + data[61:], "board.zip: "),
+        (lambda _: b"", "not a zip file"),
+    ],
+)
+def test_a_damaged_backup_is_one_line(
+    board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: object, said: str
+) -> None:
+    out = backed_up(board)
+    assert callable(damage)
+    out.write_bytes(damage(out.read_bytes()))
+    config = tmp_path / "other" / "config.yaml"
+    assert main(["backup", "--restore", str(out), "--config", str(config)]) == 1
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert said in line
+    assert "expected a file that `tacshade-edge backup` wrote" in line
+    assert main(["backup", "--restore", str(tmp_path / "none"), "--config", str(config)]) == 1
+    assert "none: No such file or directory, expected a file that" in capsys.readouterr().err
