@@ -44,6 +44,11 @@ class FindingError(ConfigError):
         super().__init__(_sentences(findings, PLAIN), others=[sentence(one) for one in others])
         self.findings = findings
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An exception is made again from its text by default: one from another process has to be
+        # made from its findings.
+        return type(self), self.findings, self.__dict__
+
     def worded(self, wording: Wording) -> ConfigError:
         """The same in a command's words."""
         return ConfigError(_sentences(self.findings, wording), others=self.others)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+import pickle
 import string
 from collections.abc import Iterator
 from pathlib import Path
@@ -70,3 +71,14 @@ def test_an_error_has_a_commands_words() -> None:
     assert str(worded).startswith("dir/table.csv: depth_mm: found travel from first touch")
     assert "judging by the images: pass --depth-from-touch, or state the" in str(worded)
     assert worded.others == (sentence(finding(FindingCode.NO_PRESSES), PLAIN),)
+
+
+def test_an_error_of_another_process_is_the_same() -> None:
+    sent = FindingError(finding(FindingCode.TRAVEL), others=[finding(FindingCode.NO_PRESSES)])
+    received = pickle.loads(pickle.dumps(sent))
+    assert str(received) == str(sent)
+    assert (received.findings, received.others, received.code) == (
+        sent.findings,
+        sent.others,
+        sent.code,
+    )
