@@ -98,7 +98,7 @@ UV := $(PY) -m uv
 lock: .venv/dev.stamp
 	$(PY) -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['build-system']['requires'], sep='\n')" | \
 	  UV_CUSTOM_COMPILE_COMMAND='make lock' $(UV) pip compile --quiet pyproject.toml - --universal --python-version 3.11 \
-	  --extra dashboard --upgrade --generate-hashes --only-binary :all: --emit-build-options --no-annotate \
+	  --extra dashboard --extra prometheus --upgrade --generate-hashes --only-binary :all: --emit-build-options --no-annotate \
 	  --output-file systemd/requirements.lock
 	UV_CUSTOM_COMPILE_COMMAND='make lock' $(UV) pip compile --quiet pyproject.toml --universal --python-version 3.11 \
 	  --extra all --extra cluster --group dev --upgrade --generate-hashes --no-annotate \

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from support.booted_machine import LOCK
@@ -222,9 +223,11 @@ def only(requirement: Requirement) -> str:
 def test_the_lock_keeps_to_pyproject(python: str) -> None:
     found, pyproject = pinned(python), tomllib.loads((ROOT / "pyproject.toml").read_text())
     project = pyproject["project"]
-    asked = [*project["dependencies"], *project["optional-dependencies"]["dashboard"]]
+    extras = project["optional-dependencies"]
+    asked = [*project["dependencies"], *extras["dashboard"], *extras["prometheus"]]
     for requirement in map(Requirement, [*asked, *pyproject["build-system"]["requires"]]):
-        assert requirement.specifier.contains(found[requirement.name]), requirement
+        pin = found[canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(pin), requirement
 
 
 def listed(python: str) -> dict[str, Any]:
