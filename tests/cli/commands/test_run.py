@@ -5,7 +5,9 @@ and what it imports.
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -26,6 +28,8 @@ from tacshade_edge.wire import binary
 pytestmark = pytest.mark.slow
 
 STOP_S = 2.0
+PHASES, PHASE_S = 7, 0.15
+"""A start computes for less than a second."""
 BASE = "tacshade/tacshade"
 IMAGES = "kind: files, path: images, fps: 100, loop: true"
 CAMERA = "kind: v4l2, width_px: 160, height_px: 120"
@@ -115,6 +119,24 @@ def test_a_signal_stops_it_cleanly(folder: Path, start: Start) -> None:
         stop(child, lines)
         wait_until(lambda: state(seen) == "stopped", 5, "stopped")
         assert len(lines()) < 10  # state changes, not frames
+
+
+def cpu_s(pid: int) -> float:
+    """How long a process has computed; it ends only when it is waited for."""
+    ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
+
+def test_a_stop_at_any_moment_of_a_start_is_a_stop(folder: Path, start: Start) -> None:
+    path = settings(folder, free_port())
+    for phase in range(PHASES):
+        child, lines = start(path)
+        wait_until(lambda: cpu_s(child.pid) >= phase * PHASE_S, 30, f"phase {phase}")  # noqa: B023
+        child.send_signal(signal.SIGTERM)
+        # Python itself, before a line of ours, has no handler.
+        assert child.wait(patience(20)) in (0, -signal.SIGTERM), lines()
+        assert not [line for line in lines() if "Traceback" in line], lines()
+    assert not list(folder.rglob("*.part"))
 
 
 @pytest.mark.broker
