@@ -1,6 +1,7 @@
 // MQTT over the server that served this page, which forwards it to the broker; the link reconnects by itself.
 
 import { cut } from "./bounds.js";
+import { storeInTab, storedInTab } from "./stored.js";
 import mqtt from "./vendor/mqtt.esm.js";
 
 const RETRY_MS = 1000, CONNECT_MS = 5000, KEEPALIVE_S = 15, ANSWER_MS = 8000;
@@ -20,8 +21,7 @@ export class Link {
     this.message = message;
     this.waiting = new Map(); // transaction -> { resolve, reject, timer }
     this.topics = new Set();
-    const kept = sessionStorage.getItem(KEPT);
-    this.open(kept ? JSON.parse(kept) : {});
+    this.open(storedInTab(KEPT) ?? {});
   }
 
   get connected() {
@@ -31,7 +31,7 @@ export class Link {
   /** Connect with a user and password, and keep them until the tab is closed. */
   login(username, password) {
     const user = { username, password };
-    sessionStorage.setItem(KEPT, JSON.stringify(user));
+    storeInTab(KEPT, user);
     this.open(user);
   }
 
@@ -77,7 +77,7 @@ export class Link {
     client.on("error", (error) => {
       if (client !== this.client || !NOT_AUTHORISED.includes(error.code)) return; // other errors close the connection, and are reported there
       client.end(true);
-      sessionStorage.removeItem(KEPT);
+      storeInTab(KEPT, null);
       this.reported("bad", "The broker requires a user and password");
       this.refused(user.username === undefined ? "The broker requires a user and password." : "The broker rejected this user or password.");
     });
