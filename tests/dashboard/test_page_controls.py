@@ -74,6 +74,7 @@ def test_a_recording_is_made_and_marked_and_a_daemon_that_died_is_shown_at_once(
         )
         assert not page.find_element(By.ID, "remove").is_displayed()
 
+        shows(page, "n-fps", ".")  # no longer the start's
         child.kill()
         shows(page, "stale", "This sensor is offline: what you see is old, last updated ")
         page.get("about:blank")

@@ -85,6 +85,43 @@ def test_strange_messages_are_counted_and_shown_as_text(
     assert page.title == "drawn – TacShade"
 
 
+def test_every_lost_frame_counts_and_a_start_is_no_rate(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+    camera = {"state": "streaming", "fps_asked": 20}
+    sensor.publish("status/camera", json.dumps(camera).encode())
+    start = {
+        "uptime_s": 2,
+        "frames": {"captured": 2},
+        "source_dropped": 0,
+        "delivered_fps": 1.0,
+        "latency_ms": {"p50": 600.0, "p99": 670.0},
+    }
+    sensor.publish("health", json.dumps(start).encode())
+    shows(page, "health-words", "starting · no frame lost · up 2 s")
+    assert [text(page, name) for name in ("n-fps", "n-latency", "n-latency-99")] == ["", "", ""]
+    slow = start | {
+        "uptime_s": 9,
+        "frames": {"captured": 502, "superseded": 7, "failed": 1},
+        "source_dropped": 4498,
+        "delivered_fps": 2.0,
+        "recorder": {"written": 9, "dropped": 2, "pre_roll_dropped": 1},
+    }
+    sensor.publish("health", json.dumps(slow).encode())
+    lost = "4506 of 5000 frames lost (4498 by the source, 7 replaced by a newer one, 1 failed)"
+    shows(page, "health-words", f"2.0 of 20 frames/s · 600 ms · {lost} · 3 frames not recorded")
+    assert [text(page, name) for name in ("n-fps", "n-latency", "n-latency-99")] == [
+        "2.0",
+        "600",
+        "",  # still among the latest 512
+    ]
+    assert page.find_element(By.ID, "n-fps").get_attribute("data-level") == "warn"
+    sensor.publish("health", json.dumps(slow | {"uptime_s": 40}).encode())
+    shows(page, "n-latency-99", "670")
+
+
 def test_what_touches_is_unknown_while_frames_are_unusable(
     page: Chrome, address: str, sensor: PublishedSensor
 ) -> None:

@@ -85,10 +85,8 @@ def run(args: argparse.Namespace) -> int:
     host, port = args.broker
     broker = Broker(host, port, _tls(args.ca_file) if args.ca_file else None)
     # Everything that can be wrong is found before the port is opened.
-    if args.recordings is not None and not args.recordings.is_dir():
-        raise ConfigError(
-            f"--recordings {args.recordings}: found no folder, expected a folder with recordings"
-        )
+    if args.recordings is not None:
+        _make_folder(args.recordings)
     tls = server_tls(args.certificate, args.key)
     is_opened = not is_loopback(args.host)
     token, is_new = _token(args.token_file, is_opened=is_opened)
@@ -123,6 +121,17 @@ def run(args: argparse.Namespace) -> int:
 
     asyncio.run(serve())
     return 0
+
+
+def _make_folder(path: Path) -> None:
+    """Make the folder of the recordings, which the daemon makes only with the first of them."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"--recordings {path}: {error.strerror}, expected a folder with recordings, or a path "
+            "where this user can make one"
+        ) from None
 
 
 def _token(file: Path | None, *, is_opened: bool) -> tuple[str | None, bool]:

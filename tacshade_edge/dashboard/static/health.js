@@ -1,6 +1,7 @@
 // Health of the sensor's daemon and of this page, in readable units. Null and empty values and codes are left out.
 
-import { element, levelOf, number, table } from "./panels.js";
+import { counted, element, levelOf, number, table } from "./panels.js";
+import { lasting } from "./tiles.js";
 
 const FRAMES = {
   published: "with contact, sent", without_contact: "without contact", unasked: "with contact, no subscriber",
@@ -14,15 +15,27 @@ const FOR_PROGRAMS = /(_code|^wall_ns|^t_ns|^seq)$/;
 const OWN = new Set(["frames", "latency_ms", "stages_ms", "uptime_s", "invalid_reason", "degraded_reason"]);
 const $ = (id) => document.getElementById(id);
 
-/** Draw one line while the panel is folded; the rest once it is open. */
-export function showHealth(health, page) {
-  const { frames, delivered_fps, latency_ms, uptime_s } = health ?? {}, lost = frames?.failed ?? 0;
+/** Draw one line while the panel is folded; the rest once it is open. `asked`: as for `showRates`. */
+export function showHealth(health, asked, page) {
+  const { uptime_s } = health ?? {}, { started, fps, p50 } = lasting(health ?? {}), of = Number.isFinite(asked) ? ` of ${number(asked, asked % 1 ? 1 : 0)}` : "";
   const words = [
-    number(delivered_fps, 1) && `${number(delivered_fps, 1)} frames/s`, number(latency_ms?.p50) && `${number(latency_ms.p50)} ms`,
-    frames && (lost ? `${lost} of ${frames.captured} frames lost` : "no frame lost"), Number.isFinite(uptime_s) && `up ${duration(uptime_s)}`,
+    health && !started && "starting", number(fps, 1) && `${number(fps, 1)}${of} frames/s`, number(p50) && `${number(p50)} ms`,
+    ...losses(health ?? {}), Number.isFinite(uptime_s) && `up ${duration(uptime_s)}`,
   ];
   $("health-words").textContent = words.filter(Boolean).join(" · ");
   if ($("health").open) $("tables").replaceChildren(...tables(health ?? {}, page).filter(Boolean));
+}
+
+/** In words, how many frames were lost and where; frames that arrived may still miss in a recording. */
+function losses({ frames, source_dropped = 0, recorder }) {
+  if (!frames) return [];
+  const unrecorded = (recorder?.dropped ?? 0) + (recorder?.pre_roll_dropped ?? 0);
+  const lost = [[source_dropped, "by the source"], [frames.superseded ?? 0, "replaced by a newer one"], [frames.failed ?? 0, "failed"]].filter(([count]) => count);
+  const sum = lost.reduce((total, [count]) => total + count, 0), where = lost.map(([count, words]) => `${count} ${words}`).join(", ");
+  return [
+    sum ? `${sum} of ${frames.captured + source_dropped} frames lost (${where})` : !unrecorded && "no frame lost",
+    unrecorded > 0 && `${counted(unrecorded, "frame")} not recorded`,
+  ];
 }
 
 /** Draw one line per `status/<part>`: its state, its reason, then its details. */
@@ -35,15 +48,16 @@ export function showParts(parts) {
 }
 
 function tables(health, page) {
-  const { frames, latency_ms, stages_ms, uptime_s } = health, others = Object.entries(health).filter(([key]) => !OWN.has(key));
+  const { frames, latency_ms, stages_ms, uptime_s } = health, { started, settled } = lasting(health);
+  const others = Object.entries(health).filter(([key]) => !OWN.has(key) && (started || !key.endsWith("_fps")));
   const share = (count) => (frames.captured ? `${count} (${number((100 * count) / frames.captured)} %)` : String(count));
   const counted = frames ? Object.entries(FRAMES).filter(([key]) => frames[key]).map(([key, words]) => [words, share(frames[key])]) : [];
-  const stages = Object.entries({ ...stages_ms, "total, until sent": latency_ms }).filter(([, stage]) => stage);
+  const stages = Object.entries({ ...stages_ms, "total, until sent": latency_ms }).filter(([, stage]) => stage && started);
   const flat = Object.fromEntries(others.filter(([, value]) => typeof value !== "object"));
   return [
     frames && table("Frames", [["captured", frames.captured ?? ""], ...counted]),
     table("Sensor", [["up", Number.isFinite(uptime_s) ? duration(uptime_s) : ""], ...facts(flat)]),
-    table("Time per stage", stages.map(([key, { p50, p99 }]) => [key, ms(p50), ms(p99)]), ["", "half within", "99 % within"]),
+    table("Time per stage", stages.map(([key, { p50, p99 }]) => [key, ms(p50), settled ? ms(p99) : ""]), ["", "half within", "99 % within"]),
     ...others.filter(([, value]) => value && typeof value === "object").map(([key, value]) => table(TITLES[key] ?? key.replaceAll("_", " "), facts(value))),
     table("This page", page),
   ];

@@ -129,7 +129,7 @@ function takeChosen(what, payload, retained) {
       view.parts.set(cut(what.slice(7), 64), part);
       if (!READ_ONLY) showAgain(link, chosen, view).catch((error) => updateAnswer("bad", error.message));
       showParts(view.parts);
-      updateState();
+      updateHealth();
     }, checkPart);
   } else if (what === "map/cloud") {
     view.mapPayload = payload;
@@ -398,9 +398,10 @@ function updateState() {
 }
 
 function updateHealth() {
-  showRates(view.health);
+  const camera = view.parts.get("camera"), asked = camera?.fps_asked ?? camera?.fps;
+  showRates(view.health, asked);
   updateState();
-  showHealth(view.health, [
+  showHealth(view.health, asked, [
     ["maps drawn", drawn], ["maps replaced by a newer one before drawing", superseded], ["maps drawn per second", number(drawnPerSecond(), 1)],
     ["camera to screen, if both clocks agree", view.age_ms === null ? "" : `${number(view.age_ms)} ms`],
     ["messages that the page could not read", undecodable],

@@ -4,6 +4,8 @@ import { counted, number } from "./panels.js";
 
 export const UNMEASURED = "touched, depth unknown";
 const NAMES_MAX = 4;
+const STARTED_S = 5, SETTLED_S = 30;
+const ENOUGH = 0.9; // of the rate that was asked for
 const SLIPS = [["sticks", "good"], ["in part", "warn"], ["slides", "bad"]];
 
 export function showContact(contact) {
@@ -30,10 +32,21 @@ export function showNames(named) {
   put("n-name", named.map(({ name, probability }) => `${name} ${number(100 * probability)} %`).join(", "));
 }
 
-export function showRates(health) {
-  put("n-fps", number(health?.delivered_fps, 1));
-  put("n-latency", number(health?.latency_ms?.p50));
-  put("n-latency-99", number(health?.latency_ms?.p99));
+/**
+ * The rate and latencies that last: not those of a start, which opens the camera and warms up. Percentiles cover the
+ * latest 512 frames, so that the slowest of the start stay among them for longer.
+ */
+export function lasting({ delivered_fps, latency_ms, uptime_s } = {}) {
+  const started = !(uptime_s < STARTED_S), settled = !(uptime_s < SETTLED_S);
+  return { started, settled, fps: started ? delivered_fps : undefined, p50: started ? latency_ms?.p50 : undefined, p99: settled ? latency_ms?.p99 : undefined };
+}
+
+/** `asked`: the rate that the camera was asked for, if that is known. */
+export function showRates(health, asked) {
+  const { fps, p50, p99 } = lasting(health ?? {});
+  put("n-fps", number(fps, 1), fps < ENOUGH * asked ? "warn" : undefined);
+  put("n-latency", number(p50));
+  put("n-latency-99", number(p99));
 }
 
 function put(id, text, level) {

@@ -47,11 +47,20 @@ def test_it_prints_its_address_and_stops_on_a_signal() -> None:
         assert (child.returncode, out, errors) == (0, "", "")
 
 
+@pytest.mark.slow
+def test_the_folder_of_the_recordings_is_made(tmp_path: Path) -> None:
+    folder = tmp_path / "var" / "recordings"
+    with started("--recordings", str(folder)) as (line, _):
+        assert line.startswith("dashboard: http"), line
+        assert folder.is_dir()
+
+
 @pytest.mark.parametrize(
     ("words", "code"),
     [
         (["--http", "TAKEN"], 1),
-        (["--recordings", "none"], 78),
+        (["--recordings", "text"], 78),
+        (["--recordings", "text/none"], 78),
         (["--host", "192.0.2.1"], 1),
         (["--ca-file", "none.pem"], 78),
         (["--ca-file", "text"], 78),
