@@ -17,7 +17,8 @@ from typing import Final
 
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.cli.commands.dashboard import ANY, in_url, is_loopback, make_token
-from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, need
+from tacshade_edge.cli.shared.options import PORT, add_flag, add_option, need, sensor_id
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.lab.demo import demo_hand, touchpad
 from tacshade_edge.lab.demo.child import Child, broker_command, free_port, wait_for_port
 from tacshade_edge.lab.demo.demo_hand import make_calibration
@@ -31,13 +32,14 @@ STOP_SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _ME: Final = (sys.executable, "-m", "tacshade_edge")
 _TOKEN: Final = "token"
+_SENSOR_ID: Final = "demo"
 
 _SETTINGS = """\
-sensor_id: demo
+sensor_id: {sensor_id}
 calibration: calibration.npz
 source: {{kind: simulated, fps: {fps}}}
 recorder: {{folder: recordings}}
-mqtt: {{host: 127.0.0.1, port: {port}}}
+mqtt: {{host: 127.0.0.1, port: {port}, home_assistant: {announced}}}
 """
 
 
@@ -46,7 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--http", "PORT", text, PORT)
     text = "address to listen on (default: this machine only)"
     add_option(parser, "--listen", "ADDRESS", text, str, default="127.0.0.1")
-    add_flag(parser, "--hand", "show a five-fingered hand that holds a bottle")
+    text = "port of the demo's broker on this machine (default: any free one)"
+    add_option(parser, "--port", "PORT", text, PORT, default=0)
+    add_flag(parser, "--home-assistant", "announce the sensors to Home Assistant at this broker")
+    # A hand's sensors have its fingers' names.
+    one = parser.add_mutually_exclusive_group()
+    text = f"the simulated sensor's name (default: {_SENSOR_ID})"
+    add_option(one, "--sensor", "ID", text, sensor_id, default=_SENSOR_ID)
+    add_flag(one, "--hand", "show a five-fingered hand that holds a bottle")
     add_option(parser, "--seconds", "N", "stop after N seconds", float, default=math.inf)
 
 
@@ -54,14 +63,17 @@ def run(args: argparse.Namespace) -> int:
     """Run until Ctrl-C, SIGTERM, SIGHUP (the terminal closes), or for ``--seconds``."""
     # The page needs it; said before a minute of work.
     need("demo", "demo", "websockets")
+    if args.sensor == touchpad.SENSOR_ID:
+        found = "found the name of the demo's other sensor, expected another"
+        raise ConfigError(f"--sensor {args.sensor}: {found}")
     interrupt = _Interrupt()
+    mqtt = _broker_port(args.port)
     http = _free(args.listen, HTTP) if args.http is None else args.http
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tacshade-demo-")))
         (folder / "recordings").mkdir()
         children = _Children(folder, stack)
         # A broker of its own: whoever has one already must not find strange sensors there.
-        mqtt = free_port()
         broker = children.start("broker", broker_command(folder, mqtt))
         token = None if is_loopback(args.listen) else make_token(folder / _TOKEN)
         page = _page_command(args.listen, http, mqtt, folder)
@@ -69,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         print("Calibrating a simulated sensor on simulated ball presses ...", flush=True)
         calibration_file.save(folder / "calibration.npz", make_calibration())
         interrupt.check()
-        settings = demo_hand.write(folder, mqtt) if args.hand else _write_settings(folder, mqtt)
+        settings = _write_settings(args, folder, mqtt)
         interrupt.check()
         # A daemon that finds no broker waits for a second before it tries again.
         wait_for_port(broker, mqtt, START_S)
@@ -134,9 +146,13 @@ def _page_command(host: str, http: int, mqtt: int, folder: Path) -> list[str]:
     return page
 
 
-def _write_settings(folder: Path, mqtt: int) -> Path:
+def _write_settings(args: argparse.Namespace, folder: Path, mqtt: int) -> Path:
+    if args.hand:
+        return demo_hand.write(folder, mqtt, home_assistant=args.home_assistant)
     path = folder / "settings.yaml"
-    path.write_text(_SETTINGS.format(fps=FPS, port=mqtt), encoding="utf-8")
+    announced = str(args.home_assistant).lower()
+    text = _SETTINGS.format(sensor_id=args.sensor, fps=FPS, port=mqtt, announced=announced)
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -177,6 +193,21 @@ def _play(args: argparse.Namespace, children: _Children, interrupt: _Interrupt, 
         interrupt.check()
         children.check()
         next(other)
+
+
+def _broker_port(asked: int) -> int:
+    """Return the port for the demo's broker; 0 asks for any. Raises DeviceError if it is in use."""
+    if asked == 0:
+        return free_port()
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", asked))
+    except OSError as error:
+        raise DeviceError(
+            f"--port {asked}: {error.strerror}, expected a port that no other broker uses"
+        ) from None
+    return asked
 
 
 def _free(host: str, port: int) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import re
 import signal
 
 from tacshade_edge.calibration import loading
@@ -16,6 +15,7 @@ from tacshade_edge.cli.shared.options import (
     add_option,
     add_profile,
     address,
+    sensor_id,
     warn,
 )
 from tacshade_edge.cli.shared.progress import Progress as Shown
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor-id",
         "ID",
         "publish under tacshade/ID (default: replay)",
-        _sensor_id,
+        sensor_id,
         default="replay",
     )
     add_option(
@@ -270,12 +270,3 @@ def _broker(args: argparse.Namespace) -> BrokerAddress | None:
         return None
     host, port = args.mqtt
     return BrokerAddress(host=host, port=port, username=None, password=None, tls_ca=None)
-
-
-def _sensor_id(text: str) -> str:
-    # `tacshade/hand/...` are the topics of hands.
-    if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
-        raise argparse.ArgumentTypeError(
-            f"found {text}, expected letters, digits, - and _, but not the word hand"
-        )
-    return text

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
+import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -77,6 +78,16 @@ def add_sensor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor", metavar="ID", help="sensor to use, if the settings list several"
     )
+
+
+def sensor_id(text: str) -> str:
+    """Read the name of a sensor that a command makes."""
+    # `tacshade/hand/...` are the topics of hands.
+    if not re.fullmatch(r"(?!hand$)[A-Za-z0-9_-]{1,64}", text):
+        raise argparse.ArgumentTypeError(
+            f"found {text}, expected letters, digits, - and _, but not the word hand"
+        )
+    return text
 
 
 def add_profile(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:

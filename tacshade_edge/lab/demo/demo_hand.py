@@ -68,7 +68,7 @@ _SEEN: Final = "seen.png"  # the picture that a finger's camera reads repeatedly
 _SETTINGS: Final = """\
 hand_id: {hand_id}
 shear: always
-mqtt: {{host: 127.0.0.1, port: {port}}}
+mqtt: {{host: 127.0.0.1, port: {port}, home_assistant: {announced}}}
 recorder: {{folder: recordings}}
 stitching: {{folder: sessions}}
 sensors:
@@ -118,11 +118,11 @@ _GRASPED_S: Final = 2.5  # no drawn step, whose picture has another name
 _STEPS: Final = round(script().times_s[-1] / STEP_S)
 
 
-def write(folder: Path, port: int) -> Path:
+def write(folder: Path, port: int, *, home_assistant: bool = False) -> Path:
     """Draw what the untouched fingers see into the demo's folder,
     and return the path of the hand's settings.
     """
-    text = _SETTINGS.format(hand_id=HAND_ID, port=port)
+    text = _SETTINGS.format(hand_id=HAND_ID, port=port, announced=str(home_assistant).lower())
     sensor = SimulatedSensor(_MODEL)
     for name in FINGERS:
         (folder / name).mkdir()

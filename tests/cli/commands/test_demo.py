@@ -19,8 +19,11 @@ from support.browser import CHROMIUM, DRIVER, browser, errors
 from support.mqtt_rig import MOSQUITTO, Subscriber
 from support.patience import patience, wait_until
 from tacshade_edge.lab.demo import demo_hand
+from tacshade_edge.lab.demo.child import free_port
+from tacshade_edge.mqtt.listener import listen
 from tacshade_edge.settings import load_hand
 from tacshade_edge.wire import binary
+from tacshade_edge.wire.sensor_topics import Contact
 from tacshade_edge.wire.topics import decode_hand
 
 # As on a machine without mosquitto.
@@ -109,6 +112,46 @@ def test_a_browser_sees_moving_maps_and_ctrl_c_leaves_nothing(tmp_path: Path) ->
     assert len(set(depths)) > 5  # it moves
     assert running(tmp_path) == []
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_the_listener_of_the_readme_hears_it_and_home_assistant_finds_it(tmp_path: Path) -> None:
+    port = free_port()
+    words = ["--port", str(port), "--sensor", "tacshade", "--home-assistant"]
+    with demo([*COMMANDS["mosquitto"], *words], tmp_path):
+        with (
+            Subscriber(port, "homeassistant/#") as found,
+            listen(f"localhost:{port}", "tacshade", ["contact"]) as messages,
+        ):
+            message = messages.get(patience(20))
+            assert message is not None
+            assert isinstance(message.value, Contact)
+            depth = "homeassistant/sensor/tacshade/depth/config"
+            wait_until(lambda: depth in {m.topic for m in found.messages}, 20, "announced")
+        again = subprocess.run(
+            [*COMMANDS["mosquitto"], "--port", str(port)],
+            capture_output=True,
+            text=True,
+            timeout=patience(60),
+            check=False,
+        )
+    assert (again.returncode, again.stdout) == (1, "")
+    assert re.fullmatch(
+        rf"tacshade-edge: --port {port}: Address already in use, expected .*\n", again.stderr
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [("demo-map", 78), ("a/b", 2), ("hand", 2), ("tacshade --hand", 2)]
+)
+def test_a_name_that_no_sensor_of_the_demo_can_have(words: str, code: int) -> None:
+    command = [*COMMANDS["mosquitto"], "--sensor", *words.split()]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=patience(60), check=False
+    )
+    assert (done.returncode, done.stdout) == (code, "")
+    assert "--sensor" in done.stderr
 
 
 @pytest.mark.slow
