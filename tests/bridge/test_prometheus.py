@@ -171,3 +171,13 @@ def test_prometheus_reads_it(tmp_path: Path) -> None:
                 idle.enter_context(socket.create_connection(("127.0.0.1", bridge.port), 5))
             assert bridge.threads() <= prometheus.CONNECTIONS_MAX + 8
             assert bridge.stopped_s() < patience(3)
+
+
+def test_the_sensors_that_are_there_are_named_beside_one_that_is_not(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        PublishedSensor(broker.port),
+        BridgeProcess("prometheus", broker.port, tmp_path / "log", "--sensor", "drawm") as bridge,
+    ):
+        named = "no sensor drawm so far; there are drawn\n"
+        wait_until(lambda: named in bridge.log(), 20, "the name of the sensor that is there")

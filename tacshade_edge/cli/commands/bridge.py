@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from tacshade_edge.bridge.expected_sensors import ExpectedSensors
 from tacshade_edge.cli.commands.dashboard import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_option, address, need, number
@@ -110,7 +111,7 @@ def _foxglove(args: argparse.Namespace, broker: BrokerAddress) -> None:
         # Listens as it is made, before the broker is there to be followed.
         bridge = FoxgloveBridge(host, port, args.sensor, follower.follow)
     try:
-        _serve(args, f"ws://{in_url(host)}:{bridge.port}", follower, bridge.poll)
+        _serve(args, broker, f"ws://{in_url(host)}:{bridge.port}", follower, bridge.poll)
     finally:
         bridge.stop()
 
@@ -130,7 +131,13 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     with _listening(args):
         server = MetricsServer(host, port, registry)
     try:
-        _serve(args, f"http://{in_url(host)}:{server.server_port}/metrics", follower, lambda: None)
+        _serve(
+            args,
+            broker,
+            f"http://{in_url(host)}:{server.server_port}/metrics",
+            follower,
+            lambda: None,
+        )
     finally:
         server.stop()
 
@@ -148,7 +155,7 @@ def _ros2(args: argparse.Namespace, broker: BrokerAddress) -> None:
     )
     bridge = Ros2Bridge(router, domain, args.sensor, follower.follow)
     try:
-        _serve(args, f"domain {domain} through the router {router}", follower, bridge.poll)
+        _serve(args, broker, f"domain {domain} through the router {router}", follower, bridge.poll)
     finally:
         bridge.stop()
 
@@ -175,7 +182,11 @@ def _listening(args: argparse.Namespace) -> Iterator[None]:
 
 
 def _serve(
-    args: argparse.Namespace, where: str, follower: Follower, poll: Callable[[], None]
+    args: argparse.Namespace,
+    broker: BrokerAddress,
+    where: str,
+    follower: Follower,
+    poll: Callable[[], None],
 ) -> None:
     ended: list[int] = []
     crashes: list[BaseException] = []
@@ -195,11 +206,14 @@ def _serve(
             file=sys.stderr,
         )
     follower.start()
+    expected = ExpectedSensors(broker, args.sensor)
     try:
         while not ended:
             if crashes:
                 raise crashes[0]
             poll()
+            expected.poll()
             time.sleep(POLL_S)
     finally:
+        expected.stop()
         follower.stop()
