@@ -124,6 +124,12 @@ PAGES = {
             "Whole pictures, fitted to the reference": (
                 f"{REAL} raw out/real/aerial_tactile_servoing --fit"
             ),
+            "By which picture is the reference": (
+                f"{REAL} raw out/real/aerial_tactile_servoing --references 3"
+            ),
+            "By which picture is the reference, fitted": (
+                f"{REAL} raw out/real/aerial_tactile_servoing --references 3 --fit"
+            ),
             "Tilted and sheared plates": f"{REAL} plates out/real/tactile_data_shear",
             "Flat presses of stated depth": f"{REAL} flat out/real/TacTipFlexSim",
             "Raw pictures of tilted and sheared plates": (
@@ -162,6 +168,12 @@ PAGES = {
     "strangers": Page(
         {
             "": f"{STRANGERS} --families third --range final --sensors 4 --ways none",
+            "Third family, with 40 balls": (
+                f"{STRANGERS} --families third --range final --sensors 4 --ways balls"
+            ),
+            "Third family, with touches": (
+                f"{STRANGERS} --families third --range final --sensors 2 --ways touches"
+            ),
             "Layered skins, with touches": (
                 f"{STRANGERS} --families layered --range final --sensors 4 --ways touches"
             ),
