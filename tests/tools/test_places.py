@@ -60,7 +60,7 @@ TOPIC = Addition(
             ('"contact", "touch", "map/revision"}', '"strength", '),
         ),
         "tacshade_edge/mqtt/publishing.py": (
-            ("\n\n_log", ", Strength"),
+            ("\nfrom tacshade_edge.wire.stamped_jpeg", ", Strength"),
             ('    "cloud": Need.DEPTH,', '    "strength": Need.DEPTH,\n'),
             (
                 "        touch_ended = (",
