@@ -48,7 +48,7 @@ from tacshade_edge.wire.requests import Request
 POSE_WAIT_NS = 120_000_000
 # A robot repeats SYNC at least once a second, so by then three are missing.
 SILENT_NS = 3_000_000_000
-# FTDI chips hold bytes back for 16 ms, unless their driver is told to send after 1 ms.
+# FTDI chips hold bytes back for 16 ms, unless their driver is set to send after 1 ms.
 LATENCY_MAX_MS = 1
 # Frames whose pose is remembered: 17 s at 60 frames/s, longer than a session or the recorder lags.
 _POSES_KEPT: Final = 1024

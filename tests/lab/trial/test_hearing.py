@@ -11,7 +11,7 @@ S = 1_000_000_000
 MS = 1_000_000
 
 
-def told(captured: int, lost: int) -> dict[str, Any]:
+def health(captured: int, lost: int) -> dict[str, Any]:
     frames = {"captured": captured, "superseded": lost, "failed": 0}
     return {"frames": frames, "source_dropped": 1}
 
@@ -28,7 +28,12 @@ def test_ages_are_those_after_the_start_of_each_sensor() -> None:
 
 
 def test_frames_lost_in_the_first_second_are_those_of_a_start() -> None:
-    first = [(0, told(0, 0)), (S, told(10, 5)), (2 * S, told(70, 9)), (5 * S, told(250, 11))]
-    other = [(S, told(1, 1)), (3 * S, told(60, 1))]
+    first = [
+        (0, health(0, 0)),
+        (S, health(10, 5)),
+        (2 * S, health(70, 9)),
+        (5 * S, health(250, 11)),
+    ]
+    other = [(S, health(1, 1)), (3 * S, health(60, 1))]
     # The camera's own drops count as captured: nobody else saw these frames.
     assert Heard(health={"a": first, "b": other}).frames() == (180, 2)
