@@ -78,8 +78,8 @@ class Outgoing:
         self._turn = threading.Lock()
         self._away = threading.Event()
         self._away.set()
-        self._state_sent = threading.Event()  # the newest one, or the connection was lost
-        self._stopping = False
+        self._last_state_sent = threading.Event()  # or the connection was lost
+        self._ending = self._stopping = False
         self._slots: dict[str, Slot] = {}
         self._by_mid: dict[int, Sent] = {}
         self._denied: set[str] = set()
@@ -121,14 +121,7 @@ class Outgoing:
         The topic is relative to the base topic; with a leading slash it starts at the broker's
         root.
         """
-
-        def put() -> None:
-            slot = self._slot(topic, qos, retain=True)
-            slot.newest = slot.newest if payload is None else Item(payload, 0)
-            slot.waiting = slot.newest
-            self._pump(slot)
-
-        self.post(put)
+        self.post(lambda: self._retain(topic, payload, qos))
 
     def has_listener(self, stream: str) -> bool:
         """Whether a stream may have a subscriber: False
@@ -209,12 +202,10 @@ class Outgoing:
 
         From then on nothing is sent, and every payload offered fails.
         """
-        # Before the state is sent: its answer may come before we wait for it.
-        self._state_sent.clear()
-        self.post(self._pump_last)
-        self.set_retained("state", state)
+        self._last_state_sent.clear()
+        self.post(lambda: self._end(state))
         if self.connected:
-            self._state_sent.wait(timeout_s)
+            self._last_state_sent.wait(timeout_s)
         self._stopping = True
 
     def wait_until_away(self, timeout_s: float) -> None:
@@ -307,8 +298,8 @@ class Outgoing:
             for other in sorted(self._slots.values(), key=lambda o: (o is state, not o.retain)):
                 self._pump(other)
         self._pump(slot)
-        if not state.handed:
-            self._state_sent.set()
+        if self._ending and not state.handed:
+            self._last_state_sent.set()
 
     def note(self, topic: str, size: int, code: MqttCode) -> None:
         """Record whether the broker accepts a message, and so its size and its topic."""
@@ -381,7 +372,7 @@ class Outgoing:
                 for item in slot.disconnected():
                     self._settle("failed", slot, item)
             self._away.set()
-            self._state_sent.set()
+            self._last_state_sent.set()
 
     def give_up(self) -> None:
         """Forget the connection, and settle what waits for another one."""
@@ -391,9 +382,20 @@ class Outgoing:
                 self._settle("failed", slot, slot.waiting)
                 slot.waiting = None
 
-    def _pump_last(self) -> None:
-        """Send the last payload of each stream, however many paho holds."""
+    def _retain(self, topic: str, payload: bytes | None, qos: Literal[0, 1]) -> None:
+        slot = self._slot(topic, qos, retain=True)
+        slot.newest = slot.newest if payload is None else Item(payload, 0)
+        slot.waiting = slot.newest
+        self._pump(slot)
+
+    def _end(self, state: bytes) -> None:
+        """Send the last payload of each stream, however many paho holds, and the last state.
+
+        In one turn: an answer to a frame between the two would end the wait for the state's.
+        """
         for slot in self._slots.values():
             if not slot.retain:
                 slot.most += 1
                 self._pump(slot)
+        self._retain("state", state, 1)
+        self._ending = True

@@ -4,6 +4,7 @@ the broker is a list of what paho was given.
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
+from support.patience import patience
 from tacshade_edge.mqtt import outgoing
 from tacshade_edge.mqtt.outgoing import Outgoing
 
@@ -65,6 +67,25 @@ class Side:
     def lose(self) -> None:
         self.client.held.clear()
         self.out.lost()
+
+
+def test_an_answer_to_a_frame_does_not_end_the_wait_for_the_last_state() -> None:
+    side = Side()
+    side.connect()
+    side.out.offer("height", b"0", 0)
+    limit_s = patience(10)
+    ending = threading.Thread(target=lambda: side.out.finish(b"stopped", limit_s))
+
+    def answer_a_frame_while_the_other_thread_ends() -> None:
+        ending.start()
+        ending.join(0.2)  # its calls wait for this turn
+        side.client.answer()
+        ending.join(0.2)
+
+    side.out.post(answer_a_frame_while_the_other_thread_ends)
+    assert side.client.answer() == ("t/state", b"stopped", 1)
+    ending.join(limit_s)
+    assert not ending.is_alive()
 
 
 @given(st.lists(st.sampled_from(["offer", "offer", "sent", "fails", "lost", "back"]), max_size=60))
