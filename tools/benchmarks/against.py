@@ -19,6 +19,7 @@ the median of the rounds' ratios. Other work on the machine lengthens CPU time l
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import subprocess
 import sys
@@ -34,20 +35,44 @@ KINDS = ("no contact", "contact", "shear", "everything")
 NOISES = 8
 NO_ANSWER = "none"
 
+PLACES = {
+    "SensorName": ("lab.studies.evaluate.work", "studies.evaluate.sensors"),
+    "calibrated": ("lab.studies.evaluate.work", "studies.evaluate.sensors"),
+    "reconstructor": ("lab.studies.evaluate.work", "studies.evaluate.sensors"),
+    "OBJECTS": ("lab.simulator.press", "simulator.objects"),
+    "Press": ("lab.simulator.press", "simulator.press"),
+    "encode_height": ("wire.binary", "protocol.wire"),
+    "encode_cloud": ("wire.binary", "protocol.wire"),
+    "encode_shear": ("wire.binary", "protocol.wire"),
+    "encode_sigma": ("wire.binary", "protocol.wire"),
+    "encode_contact": ("wire.messages", "protocol.messages"),
+}
+"""Where a name stands in this checkout, and where it stood before the rooms by subject."""
+
+
+def _from_checkout(name: str) -> Any:
+    """What the imported checkout calls by this name, wherever it stands there."""
+    for place in PLACES[name]:
+        try:
+            return getattr(importlib.import_module(f"tacshade_edge.{place}"), name)
+        except ModuleNotFoundError:
+            continue
+    raise SystemExit(f"{name}: this checkout has it in none of {', '.join(PLACES[name])}")
+
 
 def serve(frames: int, objects: Sequence[str]) -> None:
     """Time frames of the imported checkout, one measurement for each line on stdin."""
     import cv2
 
     from tacshade_edge import types
-    from tacshade_edge.lab.simulator.press import OBJECTS, Press
-    from tacshade_edge.lab.studies.evaluate.work import SensorName, calibrated, reconstructor
-    from tacshade_edge.wire import binary, messages
 
     cv2.setNumThreads(1)
-    name = SensorName.parse("default")
-    calibration, sensor = calibrated(name, 8, 40).calibration, name.make()
-    presses = [Press(OBJECTS[one](), 0.0, 0.0, 3.0, 20.0, 1.45) for one in objects]
+    name = _from_checkout("SensorName").parse("default")
+    calibration, sensor = _from_checkout("calibrated")(name, 8, 40).calibration, name.make()
+    reconstructor, shapes = _from_checkout("reconstructor"), _from_checkout("OBJECTS")
+    press_of, encode_contact = _from_checkout("Press"), _from_checkout("encode_contact")
+    encoders = [_from_checkout(f"encode_{one}") for one in ("height", "cloud", "shear", "sigma")]
+    presses = [press_of(shapes[one](), 0.0, 0.0, 3.0, 20.0, 1.45) for one in objects]
     images = {
         "no contact": [sensor.frame((), 4000 + k).image for k in range(NOISES)],
         "contact": [
@@ -76,14 +101,9 @@ def serve(frames: int, objects: Sequence[str]) -> None:
             start = time.process_time_ns()
             found = each.step(frame, **asked)
             if kind == "everything":
-                for encode in (
-                    binary.encode_height,
-                    binary.encode_cloud,
-                    binary.encode_shear,
-                    binary.encode_sigma,
-                ):
+                for encode in encoders:
                     encode(found, calibration_crc32=0)
-                messages.encode_contact(found, fps=60.0)
+                encode_contact(found, fps=60.0)
             if k >= 0:
                 taken[k] = (time.process_time_ns() - start) / 1e6
         print(np.median(taken), np.percentile(taken, 99), flush=True)

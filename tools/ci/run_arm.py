@@ -8,8 +8,8 @@ for both Pythons of boards.
 
 For each Python: the wheels of the lock, one frame after the other against this machine's, maps by
 the command of its Debian package, the quick tests (half an hour each: nothing is emulated fast).
-For one: the instructions of a frame, and what they would take on a Pi. Needs root;
-tools/rig/arm64.py says what else. Exit 1 when something failed.
+For one: the instructions of a frame, on each board's processor, and what they would take there.
+Needs root; tools/rig/arm64.py says what else. Exit 1 when something failed.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import PROFILES
 from tools.ci.arm_frames import FREE, PRESSED, STAGES
 from tools.ci.run_tests import QUICK
-from tools.rig.arm64 import instructions_each
+from tools.rig.arm64 import PROCESSOR, instructions_each
 
 TREE = Path(__file__).resolve().parents[2]
 ARM = (sys.executable, "-m", "tools.rig.arm64")
@@ -42,12 +43,35 @@ floats after them are not.
 """
 WHITE_MAX_PART = 0.0
 COUNT = 5
-# Instructions a second of one core: its clock times what code like ours completes in a cycle,
-# between a scalar loop that waits and vector code that does not.
-BOARDS = {
-    "Pi 4 (Cortex-A72, 1.8 GHz)": (1.8e9, 0.8, 1.6),
-    "Pi 5 (Cortex-A76, 2.4 GHz)": (2.4e9, 1.4, 2.8),
-}
+FRAMES = {"no contact": FREE, "contact": PRESSED}
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A board's processor, by QEMU's name; how many instructions of code like ours a core completes
+    in a cycle, between a scalar loop that waits and vector code that does not.
+    """
+
+    name: str
+    processor: str
+    clock_hz: float
+    least_per_cycle: float
+    most_per_cycle: float
+
+    def times_ms(self, instructions: float) -> str:
+        """The time that they take, from its best to its worst."""
+        best, worst = (
+            1e3 * instructions / self.clock_hz / each
+            for each in (self.most_per_cycle, self.least_per_cycle)
+        )
+        return f"{best:.1f} to {worst:.1f}"
+
+
+BOARDS = (
+    Board("Pi Zero 2 W (Cortex-A53, 1.0 GHz)", "cortex-a53", 1.0e9, 0.5, 1.0),
+    Board("Pi 4 (Cortex-A72, 1.8 GHz)", "cortex-a72", 1.8e9, 0.8, 1.6),
+    Board("Pi 5 (Cortex-A76, 2.4 GHz)", "cortex-a76", 2.4e9, 1.4, 2.8),
+)
 
 
 def arm(python: str, *command: str) -> int:
@@ -130,29 +154,55 @@ def quick(python: str) -> list[str]:
     return ["quick tests failed"] if done.returncode else []
 
 
-def count() -> None:
-    """Print a table of each stage's instructions, and what all of them would take."""
+def stages_of(profile: str, image: int) -> list[str]:
+    """The stages of a frame, in order."""
+    if image == FREE:
+        return ["gate"]
+    return [stage for stage in STAGES if profile != "paper" or stage not in ("shear", "sigma")]
+
+
+def count_stages(port: int) -> None:
+    """Print the instructions of each stage, on one processor."""
     rows = []
+    for profile in PROFILES:
+        for name, image in FRAMES.items():
+            stages = stages_of(profile, image)
+            totals = [instructions(profile, image, stage, port) for stage in stages]
+            own = dict(zip(stages, np.diff([0, *totals]), strict=True))
+            cells = [f"{own[stage] / 1e6:.2f}" if stage in own else "" for stage in STAGES]
+            rows.append([profile, name, *cells, f"{totals[-1] / 1e6:.1f}"])
+    print(f"Million instructions on {PROCESSOR}\n")
+    print(markdown(["profile", "frame", *STAGES, "all"], rows), flush=True)
+
+
+def count_boards(port: int) -> None:
+    """Print the instructions of whole frames on each board's processor, and what they take."""
+    rows = []
+    for board in BOARDS:
+        for profile in (each for each in PROFILES if each != "paper"):
+            for name, image in FRAMES.items():
+                last = stages_of(profile, image)[-1]
+                total = instructions(profile, image, last, port, board.processor)
+                rows.append(
+                    [board.name, profile, name, f"{total / 1e6:.1f}", board.times_ms(total)]
+                )
+    print("\nThe whole frame on one core of each board\n")
+    print(markdown(["board", "profile", "frame", "million instructions", "ms"], rows), flush=True)
+
+
+def instructions(
+    profile: str, image: int, last: str, port: int, processor: str = PROCESSOR
+) -> float:
+    """Those of one frame until the end of its stage `last`."""
+    script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), last]
+    return instructions_each([*script, str(port)], COUNT, processor)
+
+
+def count() -> None:
+    """Print the tables of instructions."""
     with tempfile.TemporaryDirectory() as folder, Broker(Path(folder)) as broker:
-        for profile in PROFILES:
-            learned = profile != "paper"
-            for name, image in (("no contact", FREE), ("contact", PRESSED)):
-                stages = [stage for stage in STAGES if learned or stage not in ("shear", "sigma")]
-                stages = ["gate"] if image == FREE else stages
-                script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image)]
-                totals = [
-                    instructions_each([*script, stage, str(broker.port)], COUNT) for stage in stages
-                ]
-                own = dict(zip(stages, np.diff([0, *totals]), strict=True))
-                times = [
-                    f"{1e3 * totals[-1] / hz / most:.1f} to {1e3 * totals[-1] / hz / least:.1f}"
-                    for hz, least, most in BOARDS.values()
-                ]
-                cells = [f"{own[stage] / 1e6:.2f}" if stage in own else "" for stage in STAGES]
-                rows.append([profile, name, *cells, f"{totals[-1] / 1e6:.1f}", *times])
-    head = ["profile", "frame", *STAGES, "all", *(f"{board}, ms" for board in BOARDS)]
-    print("Million instructions; the last columns are what all of them would take\n")
-    print(markdown(head, rows))
+        count_stages(broker.port)
+        count_boards(broker.port)
 
 
 def main() -> int:

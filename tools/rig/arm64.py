@@ -5,9 +5,10 @@ on QEMU's model of a Pi 5's processor (Cortex-A76).
 ::
 
     python3 -m tools.rig.arm64 [--python 3.11|3.13] COMMAND [ARGUMENT...]
-    python3 -m tools.rig.arm64 --count -m MODULE [ARGUMENT...]
+    python3 -m tools.rig.arm64 [--processor cortex-a53] --count -m MODULE [ARGUMENT...]
 
-With ``--count`` it prints the instructions that Python executes.
+With ``--count`` it prints the instructions that Python executes, there or on an older board's
+processor, whose libraries take other ways: without dot products of integers, for one.
 The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's
 packages unpacked, the wheels of ``systemd/requirements.lock`` installed, checked by their hashes,
 and the tests' other dependencies. COMMAND runs in it with this tree at ``/src``, its folder, on the
@@ -34,6 +35,16 @@ HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
 CACHE = TREE / ".rig"
 SUITES = {"3.11": "bookworm", "3.13": "trixie"}
+PROCESSORS = {
+    "cortex-a53": ("0xd03", "fp asimd evtstrm crc32 cpuid"),
+    "cortex-a72": ("0xd08", "fp asimd evtstrm crc32 cpuid"),
+    "cortex-a76": (
+        "0xd0b",
+        "fp asimd evtstrm aes pmull sha1 sha2 crc32 atomics fphp asimdhp cpuid asimdrdm lrcpc "
+        "dcpop asimddp",
+    ),
+}
+"""By QEMU's name: the kernel's number of the part, and its features, on a Pi Zero 2 W, 4 and 5."""
 PROCESSOR = "cortex-a76"
 PROGRAMS = {
     "debootstrap": "debootstrap",
@@ -45,21 +56,6 @@ EXIT_CANNOT = 77
 UV = (sys.executable, "-m", "uv", "pip", "--quiet")
 PACKAGES = "python3,libgomp1,libstdc++6,ca-certificates,procps"
 BINFMT = Path("/proc/sys/fs/binfmt_misc")
-CPUINFO = "".join(
-    f"""\
-processor\t: {core}
-BogoMIPS\t: 108.00
-Features\t: fp asimd evtstrm aes pmull sha1 sha2 crc32 atomics fphp asimdhp \
-cpuid asimdrdm lrcpc dcpop asimddp
-CPU implementer\t: 0x41
-CPU architecture: 8
-CPU variant\t: 0x4
-CPU part\t: 0xd0b
-CPU revision\t: 1
-
-"""
-    for core in range(4)
-)
 ENVIRONMENT = {
     "HOME": "/root",
     "PATH": "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin",
@@ -77,6 +73,19 @@ mount --rbind /dev "$1/dev"
 mount -t tmpfs tmpfs "$1/tmp"
 exec chroot "$1" /bin/bash -c "cd /src && exec $3"
 """
+
+
+def cpuinfo(processor: str) -> str:
+    """The kernel's /proc/cpuinfo of a board with four of these,
+    by which libraries choose their code.
+    """
+    part, features = PROCESSORS[processor]
+    return "".join(
+        f"processor\t: {core}\nBogoMIPS\t: 108.00\nFeatures\t: {features}\n"
+        "CPU implementer\t: 0x41\nCPU architecture: 8\nCPU variant\t: 0x4\n"
+        f"CPU part\t: {part}\nCPU revision\t: 1\n\n"
+        for core in range(4)
+    )
 
 
 class CannotRunError(Exception):
@@ -130,7 +139,7 @@ def user_space(python: str) -> Path:
     (root / "etc/hosts").write_text("127.0.0.1 localhost\n")
     for name in ("src", "opt"):
         (root / name).mkdir(exist_ok=True)
-    (root / "opt/cpuinfo").write_text(CPUINFO)
+    (root / "opt/cpuinfo").write_text(cpuinfo(PROCESSOR))
     for name in ("possible", "present"):
         file = root / "sys/devices/system/cpu" / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -193,7 +202,7 @@ def enter(python: str, command: list[str]) -> None:
     os.execvpe(words[0], (*words, shlex.join(command)), environment)
 
 
-def counted(script: list[str]) -> int:
+def counted(script: list[str], processor: str) -> int:
     """Print the instructions that Python 3.11 executes for a script, or -m and a module;
     return its exit status.
     """
@@ -202,13 +211,14 @@ def counted(script: list[str]) -> int:
     plugin = CACHE / "count_instructions.so"
     if not plugin.exists():
         _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
-    (root / "proc/cpuinfo").write_text(CPUINFO)
+    (root / "proc/cpuinfo").write_text(cpuinfo(processor))
     paths = (TREE, root / "opt/lock", root / "opt/dev")
     # Without a fixed seed Python's start varies by a million instructions between runs.
     ours = {
         "PYTHONPATH": ":".join(map(str, paths)),
         "PATH": os.environ["PATH"],
         "PYTHONHASHSEED": "0",
+        "QEMU_CPU": processor,
     }
     environment = os.environ | ENVIRONMENT | ours
     words = (
@@ -230,13 +240,14 @@ def counted(script: list[str]) -> int:
     return done.returncode
 
 
-def instructions_each(script: list[str], runs: int) -> float:
+def instructions_each(script: list[str], runs: int, processor: str = PROCESSOR) -> float:
     """Instructions of one run of a script whose last argument, appended here, is how often:
     of one and `runs` more.
     """
     found = []
     for count in (1, 1 + runs):
-        command = (sys.executable, "-m", "tools.rig.arm64", "--count", *script, str(count))
+        words = ("--processor", processor, "--count", *script, str(count))
+        command = (sys.executable, "-m", "tools.rig.arm64", *words)
         done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
@@ -259,6 +270,9 @@ def main() -> int:
         prog="arm64.py", description="Run COMMAND in an emulated arm64 user space."
     )
     parser.add_argument("--python", choices=list(SUITES), default="3.11")
+    parser.add_argument(
+        "--processor", choices=list(PROCESSORS), default=PROCESSOR, help="whose code is counted"
+    )
     # With all that follows: words that begin with a dash are no COMMAND to argparse.
     parser.add_argument(
         "--count",
@@ -274,7 +288,7 @@ def main() -> int:
         parser.error("COMMAND is missing")
     try:
         if args.count:
-            return counted(args.count)
+            return counted(args.count, args.processor)
         enter(args.python, args.command)
     except CannotRunError as error:
         print(f"arm64: {error}", file=sys.stderr)
