@@ -27,6 +27,8 @@ _SEPARATOR: Final = re.compile(r"\"?sep=([,;\t])\"?\s*")
 _NUMBER: Final = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
 # Columns whose commas are no decimal signs.
 _TEXTS: Final = frozenset({"image", "indenter", "group"})
+# What R writes in an empty cell.
+_R_EMPTY: Final = "NA"
 # How pandas, R and others name the numbers of rows that they write as a column of their own.
 _ROW_NUMBERS: Final = re.compile(r"|index|level_0|Unnamed: \d+(\.\d+)*")
 
@@ -34,6 +36,8 @@ Rows = list[tuple[str, dict[str, str]]]
 """Each row's ``FILE:LINE`` and its cells by column, with decimal points;
 "" where an optional column is missing.
 """
+Lines = Sequence[tuple[int, list[str]]]
+"""The number and the cells of lines."""
 
 
 def read_columns(
@@ -46,31 +50,27 @@ def read_columns(
 ) -> tuple[Rows, tuple[str, ...]]:
     """Read a table as a spreadsheet writes it; returns the rows and the names of unknown columns.
 
-    The columns may be in any order, separated by ``,``, ``;`` or tabs, the text UTF-8 or, with its
-    byte order mark, UTF-16. The first line may be Excel's ``sep=;``. A comma in a number is the
-    decimal sign, unless other numbers of a table with ``,`` have points. Blanks around cells,
-    empty cells after the last column, rows without any filled cell and a column of row numbers, as
-    pandas writes, are skipped. Raises ConfigError if the file is unreadable or not CSV, a column is
-    missing or repeated, or a row has another length; `what` names the rows.
+    The columns may be in any order, separated by ``,``, ``;``, tabs or, as R does, blanks, the text
+    UTF-8 or, with its byte order mark, UTF-16. The first line may be Excel's ``sep=;``. A comma in
+    a number is the decimal sign, unless other numbers of a table with ``,`` have points. A number
+    ``NA`` is an empty cell. Blanks around cells, empty cells after the last column, rows without
+    any filled cell and a column of row numbers, as pandas writes or, without a name, R, are
+    skipped. Raises ConfigError if the file is unreadable or not CSV, a column is missing or
+    repeated, or a row has another length; `what` names the rows.
     """
     text, delimiter = _separated(_text(path, what, rows_max * BYTES_A_ROW_MAX), required)
     lines = _lines(path, text, delimiter, rows_max)
     line0, header = lines[0] if lines else (1, [])
+    if _has_row_names(header, lines[1:]):
+        header.insert(0, "")
     # Spreadsheets end every row with the separators of columns that were once used.
     while header and not header[-1]:
         header.pop()
     known = (*required, *optional)
     _check_header(f"{path}:{line0}", header, required, known, delimiter)
-    for line, cells in lines[1:]:
-        if len(cells) < len(header) or any(cells[len(header) :]):
-            raise ConfigError(f"{path}:{line}: found {len(cells)} columns, expected {len(header)}")
+    _check_lengths(path, header, lines[1:])
     numbers = [k for k, name in enumerate(header) if name in known and name not in _TEXTS]
-    # Spreadsheets of many countries write a decimal comma, and then separate by another sign or
-    # quote the number; with points elsewhere, it would separate thousands.
-    if delimiter != "," or not any("." in cells[k] for _, cells in lines[1:] for k in numbers):
-        for _, cells in lines[1:]:
-            for k in numbers:
-                cells[k] = cells[k].replace(",", ".")
+    _make_plain(lines[1:], numbers, delimiter)
     place = {name: header.index(name) for name in known if name in header}
     rows = [
         (
@@ -87,15 +87,54 @@ def read_columns(
     return rows, tuple(unknown)
 
 
+def _make_plain(lines: Lines, numbers: Sequence[int], delimiter: str) -> None:
+    """Write the cells of columns of numbers with decimal points, and nothing where R has no value.
+
+    Spreadsheets of many countries write a decimal comma, and then separate by another sign or quote
+    the number; with points elsewhere, it would separate thousands.
+    """
+    has_points = any("." in cells[k] for _, cells in lines for k in numbers)
+    for _, cells in lines:
+        for k in numbers:
+            if cells[k] == _R_EMPTY:
+                cells[k] = ""
+            elif delimiter != "," or not has_points:
+                cells[k] = cells[k].replace(",", ".")
+
+
 def is_row_numbers(name: str) -> bool:
     """Whether a column's name is one that programs give to the numbers of the rows."""
     return _ROW_NUMBERS.fullmatch(name) is not None
 
 
+def _has_row_names(header: Sequence[str], lines: Lines) -> bool:
+    """Whether a header has no name for a first column that numbers the rows, as of R's write.table.
+
+    Numbers alone: of other names, one cannot know that they come first.
+    """
+    first = {cells[0] for _, cells in lines if len(cells) == len(header) + 1}
+    return bool(lines) and len(first) == len(lines) and all(map(_is_row_number, first))
+
+
+def _check_lengths(path: Path, header: Sequence[str], lines: Lines) -> None:
+    """Check that each row has the header's columns. Raises ConfigError."""
+    longer = bool(lines) and all(len(cells) == len(header) + 1 and cells[-1] for _, cells in lines)
+    hint = ": are the first R's row names? row.names = FALSE leaves them out" if longer else ""
+    for line, cells in lines:
+        if len(cells) < len(header) or any(cells[len(header) :]):
+            raise ConfigError(
+                f"{path}:{line}: found {len(cells)} columns, expected {len(header)}{hint}"
+            )
+
+
+def _is_row_number(cell: str) -> bool:
+    return cell.isascii() and cell.isdecimal()
+
+
 def _counts_rows(name: str, cells: Sequence[str]) -> bool:
     # An empty column before the table is one more habit of spreadsheets.
     return is_row_numbers(name) and all(
-        not cell or (cell.isascii() and cell.isdecimal()) for cell in cells
+        not cell or _is_row_number(cell) for cell in cells
     )
 
 
@@ -107,7 +146,7 @@ def _separated(text: str, required: tuple[str, ...]) -> tuple[str, str]:
     if stated := _SEPARATOR.fullmatch(first):
         # An empty line in its place keeps the line numbers as the file has them.
         return "\n" + text[len(first) :], stated[1]
-    names = {each: {name.strip('" \t\r\n') for name in first.split(each)} for each in ",;\t"}
+    names = {each: {name.strip('" \t\r\n') for name in first.split(each)} for each in ",;\t "}
     return text, max(names, key=lambda each: len(names[each].intersection(required)))
 
 

@@ -3,8 +3,11 @@ from __future__ import annotations
 import os
 import tracemalloc
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tacshade_edge.calibration.files.indenter_file import read_indenters, write_printables
 from tacshade_edge.calibration.files.labels import LabelFolder, read_labels
@@ -107,6 +110,69 @@ def test_a_comma_beside_decimal_points_separates_thousands(tmp_path: Path) -> No
     rows, _ = read_columns(path, ("image", "b"), (), "numbers")
     with pytest.raises(ConfigError, match=r"2: b: found '1,234', expected a number"):
         number(rows[0][0], "b", rows[0][1]["b"])
+
+
+# How R separates cells, ends the whole part of a number, and whether it leaves out the name of the
+# column of row names: write.table, write.table(sep = ...), write.csv and write.csv2.
+R_WAYS = [(" ", ".", True), ("\t", ".", True), (",", ".", True), (",", ".", False), (";", ",", False)]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    way=st.sampled_from(R_WAYS),
+    values=st.lists(
+        st.tuples(st.sampled_from(["a.png", "b 1.png", "3.png"]), st.floats(-100, 100) | st.none()),
+        min_size=1,
+        max_size=5,
+    ),
+    first=st.integers(1, 9999),
+    quoted=st.booleans(),
+    numbered=st.booleans(),
+)
+def test_a_table_as_r_writes_it(
+    way: tuple[str, str, bool],
+    values: list[tuple[str, float | None]],
+    first: int,
+    quoted: bool,
+    numbered: bool,
+) -> None:
+    separator, point, nameless = way
+    # Without quotes, R itself cannot read blanks back.
+    quoted = quoted or separator == " "
+    mark = '"' if quoted else ""
+    lines = [[f"{mark}image{mark}", f"{mark}b{mark}"]]
+    expected = []
+    for k, (image, value) in enumerate(values):
+        text = "NA" if value is None else f"{value:.7g}"
+        lines.append([f"{mark}{image}{mark}", text.replace(".", point)])
+        expected.append({"image": image, "b": text if value is not None else "", "c": ""})
+        if numbered:
+            lines[-1].insert(0, f"{mark}{first + k}{mark}")
+    if numbered and not nameless:
+        lines[0].insert(0, f"{mark}{mark}")
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "t.csv")
+        path.write_text("".join(separator.join(cells) + "\n" for cells in lines))
+        rows, unknown = read_columns(path, ("image", "b"), ("c",), "numbers")
+    assert [cells for _, cells in rows] == expected
+    assert unknown == ()
+
+
+def test_row_names_that_are_no_numbers_are_refused_with_how_to_leave_them_out(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "t.csv"
+    for rows in ('"x","one",1\n"y","two",2\n', "1,one,1\n1,two,2\n", "one,1,note\ntwo,2,note\n"):
+        path.write_text(f"image,b\n{rows}")
+        with pytest.raises(ConfigError) as refused:
+            read_columns(path, ("image", "b"), (), "numbers")
+        assert str(refused.value) == (
+            f"{path}:2: found 3 columns, expected 2: are the first R's row names? "
+            "row.names = FALSE leaves them out"
+        )
+    path.write_text("image,b\none,1\ntwo,2,note\n")
+    with pytest.raises(ConfigError, match=r"t\.csv:3: found 3 columns, expected 2$"):
+        read_columns(path, ("image", "b"), (), "numbers")
 
 
 def test_a_column_of_anything_but_row_numbers_is_reported(tmp_path: Path) -> None:
