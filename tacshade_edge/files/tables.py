@@ -133,9 +133,7 @@ def _is_row_number(cell: str) -> bool:
 
 def _counts_rows(name: str, cells: Sequence[str]) -> bool:
     # An empty column before the table is one more habit of spreadsheets.
-    return is_row_numbers(name) and all(
-        not cell or _is_row_number(cell) for cell in cells
-    )
+    return is_row_numbers(name) and all(not cell or _is_row_number(cell) for cell in cells)
 
 
 def _separated(text: str, required: tuple[str, ...]) -> tuple[str, str]:
@@ -237,4 +235,5 @@ def _text(path: Path, what: str, bytes_max: int) -> str:
     try:
         return decoded(data)
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not a CSV file: {error}") from None
+        line = data[: error.start].count(b"\n") + 1
+        raise ConfigError(f"{path}:{line}: not a CSV file: {error}; save it as UTF-8") from None

@@ -68,6 +68,13 @@ def test_a_row_without_end_takes_no_memory(tmp_path: Path, row: str) -> None:
     tracemalloc.stop()
 
 
+def test_text_of_another_encoding_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes("a,b\n1,2\n3,é\n".encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"t\.csv:3: not a CSV file: .*; save it as UTF-8$"):
+        read_columns(path, ("a", "b"), (), "numbers")
+
+
 def test_only_a_regular_file_is_a_table(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "t.csv")
     for path, found in (
@@ -114,7 +121,13 @@ def test_a_comma_beside_decimal_points_separates_thousands(tmp_path: Path) -> No
 
 # How R separates cells, ends the whole part of a number, and whether it leaves out the name of the
 # column of row names: write.table, write.table(sep = ...), write.csv and write.csv2.
-R_WAYS = [(" ", ".", True), ("\t", ".", True), (",", ".", True), (",", ".", False), (";", ",", False)]
+R_WAYS = [
+    (" ", ".", True),
+    ("\t", ".", True),
+    (",", ".", True),
+    (",", ".", False),
+    (";", ",", False),
+]
 
 
 @settings(max_examples=200, deadline=None)
