@@ -37,6 +37,7 @@ from tacshade_edge.calibration.reference.references import (
     with_reference,
 )
 from tacshade_edge.calibration.refit import Refit, refit_profile
+from tacshade_edge.calibration.sentences import FindingError
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.sensor.depth import Network
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
@@ -187,6 +188,10 @@ def _unloaded(sensor: StatedSensor, greys: Sequence[U8]) -> Calibration:
                 f"expected {greys[0].shape[1]}x{greys[0].shape[0]} px as in the first reference"
             )
     mean = pattern.mean_image(greys)
+    if sensor.visible_circle:
+        radius_mm = sensor.visible_radius_mm
+        if wrong := visible_circle.other_statement(mean, sensor.visible_circle, radius_mm):
+            raise FindingError(wrong)
     disc = visible_circle.visible_disc(mean, sensor.visible_circle)
     pitch_px = pattern.marker_pitch_px(mean, disc)
     calibration = Calibration(

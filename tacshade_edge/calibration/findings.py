@@ -23,6 +23,7 @@ class FindingCode(Enum):
     REFERENCE_PRESSED = auto()
     NO_RIM = auto()
     MARKERS_OUTSIDE = auto()
+    CIRCLE_STATED = auto()
     FINE_PATTERN = auto()
     WHITE_PINS = auto()
     NO_WHITE_PINS = auto()
@@ -44,6 +45,7 @@ class FindingCode(Enum):
     MANY_LEFT_OUT = auto()
     DEPTH_UNIT = auto()
     AXES = auto()
+    OTHER_ROWS = auto()
     DIAMETERS = auto()
     HALVED_RADII = auto()
     SKIN_SIZE = auto()
@@ -84,6 +86,10 @@ class Axes(StrEnum):
     CM = "x and y are in cm"
     INCHES = "x and y are in inches"
     METRES = "x and y are in m"
+    MICROMETRES = "x and y are in µm"
+    PIXELS = "x and y are columns and rows in px"
+    PIXELS_SWAPPED = "x and y are rows and columns in px"
+    PIXELS_FROM_MIDDLE = "x and y are in px from the middle of the visible circle"
 
 
 class SizeMistake(StrEnum):

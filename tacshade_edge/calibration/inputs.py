@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,6 +27,13 @@ class StatedSensor:
     visible_circle: Disc | None = None
     print_mm: Mapping[str, float] = field(default_factory=dict)
     pad_radius_mm: float | None = None
+
+    @property
+    def visible_radius_mm(self) -> float:
+        """Radius of the visible circle on the undeformed skin."""
+        if self.pad_radius_mm is not None:
+            return self.pad_radius_mm
+        return self.skin_radius_mm * math.sin(math.radians(self.visible_half_angle_deg))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -181,6 +181,7 @@ SENTENCES: Mapping[FindingCode, str] = {
         "{sensor_file}: visible_circle: found {percent:.0f} % or more of the markers outside it, "
         "expected nearly all inside{option}"
     ),
+    FindingCode.CIRCLE_STATED: "{sensor_file}: {suspicion}",
     FindingCode.FINE_PATTERN: (
         "markers: found a pitch of {found_px:.1f} px, expected at least {expected_px:g}: heights "
         "may be off up to twice as much; take larger images (source.width_px)"
@@ -235,6 +236,9 @@ SENTENCES: Mapping[FindingCode, str] = {
     FindingCode.AXES: (
         "{press_table}: x_mm, y_mm: the places fit within {expected_mm:.1f} mm, "
         "not {found_mm:.1f} mm, if {axes}"
+    ),
+    FindingCode.OTHER_ROWS: (
+        "{press_table}: {suspicion} the picture of {image} shows the values of {row}"
     ),
     FindingCode.DIAMETERS: (
         "{press_table}: radius_mm: the images show balls of about {factor:.1f} times the stated "

@@ -3,5 +3,5 @@
 In: what was read, and what the sensor is or sees. Out: suspicions, as codes with values.
 Threads: none.
 Other rooms use: `frame_times`, `hand_places`, `label_columns`, `pose_tables`,
-    `stream_clock`, `stream_places`, `suspicions`.
+    `row_order`, `stated_circle`, `stream_clock`, `stream_places`, `suspicions`.
 """

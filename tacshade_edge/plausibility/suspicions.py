@@ -35,6 +35,9 @@ class SuspicionCode(Enum):
     LABEL_SIGN = auto()
     LABELS_SWAPPED = auto()
     LABELS_SHIFTED = auto()
+    # Presses and the sensor that they are of.
+    ROWS_OF_OTHERS = auto()
+    CIRCLE_STATED = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +146,15 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     SuspicionCode.LABELS_SHIFTED: (
         "found labels that go with no frame but that of another row, expected each image's own: "
         "does each have those of the row {row}?"
+    ),
+    SuspicionCode.ROWS_OF_OTHERS: (
+        "found places and depths that fit no image but that of another row, expected each image's "
+        "own: {order}"
+    ),
+    SuspicionCode.CIRCLE_STATED: (
+        "visible_circle: found row {row_px:g}, column {col_px:g}, radius {radius_px:g}, expected "
+        "row_px: {expected_row_px:.0f}, col_px: {expected_col_px:.0f}, "
+        "radius_px: {expected_radius_px:.0f} as the image shows: {reading}"
     ),
 }
 """The sentence of each; `{unit}` and `{reading}` end with a question mark."""

@@ -25,6 +25,17 @@ ROWS = re.findall(
 GOES_ON = "goes on"
 
 
+def in_px(row: list[str]) -> list[str]:
+    """A press's row with its place as read off the image, roughly."""
+    *others, x_mm, y_mm = row
+    return [*others, f"{328 + 11 * float(x_mm):.0f}", f"{236 + 11 * float(y_mm):.0f}"]
+
+
+def write_rows(path: Path, header: list[str], rows: list[list[str]]) -> None:
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration set, the same with mistakes in its table, and settings, good and bad."""
@@ -36,11 +47,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def write(name: str, column: str, factor: float) -> None:
         at = header.index(column)
         wrong = [[*row[:at], str(float(row[at]) * factor), *row[at + 1 :]] for row in rows]
-        with (made / "mysensor" / name).open("w", newline="") as file:
-            csv.writer(file).writerows([header, *wrong])
+        write_rows(made / "mysensor" / name, header, wrong)
 
     write("CENTIMETRES.csv", "depth_mm", 0.1)
     write("DIAMETERS.csv", "radius_mm", 2.0)
+    write_rows(made / "mysensor" / "PIXELS.csv", header, [in_px(row) for row in rows])
+    values = [rows[-1], *rows]  # of the row before
+    shifted = [[row[0], *other[1:]] for row, other in zip(rows, values, strict=False)]
+    write_rows(made / "mysensor" / "SHIFTED.csv", header, shifted)
+    circle = "visible_circle: {row_px: 328, col_px: 236, radius_px: 205}\n"
+    sensor = (made / "mysensor" / "SENSOR.yaml").read_text()
+    (made / "mysensor" / "SWAPPED.yaml").write_text(sensor + circle)
     (made / "key.yaml").write_text("source: {kind: simulated}\nmqtt: {prot: 1883}\n")
     (made / "profile.yaml").write_text("profile: acurate\n")
     return made
@@ -52,11 +69,10 @@ def is_said(text: str, line: str) -> bool:
     return re.search(f"(?:^|: ){pattern}$", text, re.MULTILINE) is not None
 
 
-def test_there_are_twelve() -> None:
-    assert len(ROWS) == 12
-    assert len([line for line in PAGE.read_text().splitlines() if line.startswith("| ")]) == 13, (
-        "and a head"
-    )
+def test_every_row_is_made_here() -> None:
+    assert len(ROWS) == 15
+    head_and_rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    assert len(head_and_rows) == 1 + len(ROWS)
 
 
 @pytest.mark.parametrize(

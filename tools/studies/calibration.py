@@ -175,6 +175,36 @@ def wrong_presses(given: Set) -> Iterator[tuple[str, bool]]:
             yield label, k in found
 
 
+def other_rows(
+    presses: list[KnownPress],
+    rng: np.random.Generator,
+    warnings: Callable[[list[KnownPress]], str],
+) -> Iterator[tuple[str, str, str]]:
+    """Images with the depths of other rows, with all their values, and with these but no places."""
+    shuffled = rng.permutation([p.depth_mm for p in presses])
+    yield (
+        "all depths shuffled",
+        "refused|poor",
+        warnings([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
+    )
+    count = len(presses)
+    numbers = np.arange(count)
+    for label, wanted, order in (
+        ("the row before", "the row before?", np.roll(numbers, 1)),
+        ("the row after", "the row after?", np.roll(numbers, -1)),
+        ("rows in the opposite order", "the opposite order?", numbers[::-1]),
+        ("rows in another order", "another order?", rng.permutation(count)),
+    ):
+        values = [presses[k] for k in order]
+        moved = [
+            replace(other, image=one.image, name=one.name)
+            for one, other in zip(presses, values, strict=True)
+        ]
+        yield f"values of {label}", wanted, warnings(moved)
+        bare = [replace(one, x_mm=None, y_mm=None) for one in moved]
+        yield f"values of {label}, without places", wanted, warnings(bare)
+
+
 def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
     """The error, the text that the answer must contain, and the answer."""
     presses, references, scale = given.presses, given.references, given.scale
@@ -184,12 +214,7 @@ def wrong_sets(given: Set, rng: np.random.Generator) -> Iterator[tuple[str, str,
     def warnings(made: list[KnownPress]) -> str:
         return answer(lambda: given.calibrate(presses=made))
 
-    shuffled = rng.permutation([p.depth_mm for p in presses])
-    yield (
-        "all depths shuffled",
-        "refused|poor",
-        warnings([replace(p, depth_mm=float(d)) for p, d in zip(presses, shuffled, strict=True)]),
-    )
+    yield from other_rows(presses, rng, warnings)
     for unit, factor in (("cm", 0.1), ("inches", 1 / 25.4), ("m", 0.001)):
         yield (
             f"depths in {unit}",

@@ -280,7 +280,7 @@ def select_presses(
         check, usable.pressed, unloaded.polarity, polarity_stated=polarity_stated
     )
     keys = wrong_keys(observations, unloaded.geometry)
-    _refuse_gross_mistakes(observations, unloaded.geometry, keys)
+    _refuse_gross_mistakes(presses, observations, unloaded.geometry, keys)
     disagreeing = outliers(observations, unloaded.geometry)
     left_out = [*usable.left_out, *disagreeing.values()]
     kept = [k for k in range(len(usable.pressed)) if k not in disagreeing]
@@ -364,12 +364,15 @@ def _observed(
 
 
 def _refuse_gross_mistakes(
-    observations: Sequence[PressObservation], geometry: Geometry, keys: CalibrationFinding | None
+    presses: Sequence[KnownPress],
+    observations: Sequence[PressObservation],
+    geometry: Geometry,
+    keys: CalibrationFinding | None,
 ) -> None:
     """Raise FindingError for a mistake that all presses share."""
     if len(observations) < MIN_PRESSES:
         return
-    if mistakes := gross_mistakes(observations, geometry):
+    if mistakes := gross_mistakes(observations, geometry, presses):
         # Balls seem to have another size if the skin has.
         is_skin = keys and mistakes[0].code in _SIZES_OF_BALLS
         raise FindingError(*([keys] if keys and is_skin else mistakes))

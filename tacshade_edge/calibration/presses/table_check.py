@@ -10,7 +10,7 @@ coefficient. (The weights: P. J. Huber, Ann. Math. Stat. 35, 1964.)
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from tacshade_edge.calibration.findings import (
     finding,
 )
 from tacshade_edge.calibration.indenters import Placed
+from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation, with_stated_place
+from tacshade_edge.calibration.presses.row_check import order_hint
 from tacshade_edge.calibration.sentences import FindingError
 from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.types import F64, Geometry, Polarity
@@ -52,8 +54,9 @@ _AXES_LEAST_PRESSES = 4
 # Suggest the other polarity if it leaves less than the first part of an error that is at least the
 # second part of the presses' distance from the middle.
 _POLARITY_PART, _POLARITY_LEAST_PART = 0.6, 0.25
-# Other readings of x and y: x is a·x + b·y, y is c·x + d·y.
-_AXES = {
+Linear = tuple[float, float, float, float]
+"""Another reading of x and y, (a, b, c, d): x is a·x + b·y, y is c·x + d·y."""
+_AXES: Mapping[Axes, Linear] = {
     Axes.SWAPPED: (0, 1, 1, 0),
     Axes.X_OPPOSITE: (-1, 0, 0, 1),
     Axes.Y_OPPOSITE: (1, 0, 0, -1),
@@ -64,6 +67,7 @@ _AXES = {
     Axes.CM: (10, 0, 0, 10),
     Axes.INCHES: (25.4, 0, 0, 25.4),
     Axes.METRES: (1000, 0, 0, 1000),
+    Axes.MICROMETRES: (1e-3, 0, 0, 1e-3),
 }
 # An offset counts if it exceeds these mm on the nominal skin and standard deviations, and the
 # line's slope is one that the network has on known kinds of sensors. Good tables have 0.26 mm at
@@ -81,9 +85,12 @@ _LEAST_ZEROED, _LEAST_TRAVELLED = 12, 16
 
 
 def gross_mistakes(
-    observations: Sequence[PressObservation], geometry: Geometry
+    observations: Sequence[PressObservation],
+    geometry: Geometry,
+    presses: Sequence[KnownPress] = (),
 ) -> tuple[CalibrationFinding, ...]:
-    """Mistakes that all presses share, or in the skin's size.
+    """Mistakes that all presses share, or in the skin's size; of all presses of the table, some are
+    observed.
 
     Only a network that sees the presses finds sizes.
     """
@@ -92,7 +99,12 @@ def gross_mistakes(
     is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)
     ball = _median([o.ball_factor for o in seen if is_mostly_seen and math.isfinite(o.ball_factor)])
     # Places are found without a network too, so axes are judged even if it sees nothing.
-    mistakes = [unit_mistake(depth), axes_hint(observations, geometry)]
+    axes = axes_hint(observations, geometry)
+    # Values of other rows look like many other mistakes.
+    turned = _AXES.get(Axes(str(axes.values["axes"]))) if axes else None
+    if order := order_hint(presses, observations, geometry, turned):
+        return (order,)
+    mistakes = [unit_mistake(depth), axes]
     if seen and not any(mistakes):  # with a wrong unit or place, the other sizes mean nothing
         mistakes = [size_mistake(depth, ball, observations, geometry)]
     return tuple(mistake for mistake in mistakes if mistake)
@@ -150,7 +162,9 @@ def _place_factor(observations: Sequence[PressObservation], size_mm: float) -> f
     squares = float((stated * stated).sum())
     if squares < len(stated) * (_LEAST_REACH_RADII * size_mm) ** 2:
         return math.nan
-    return float((shown * stated).sum() / squares)
+    factor = float((shown * stated).sum() / squares)
+    # No size turns places to the other side of the middle.
+    return factor if factor > 0 else math.nan
 
 
 def _median(values: Sequence[float] | F64) -> float:
@@ -196,16 +210,16 @@ def axes_hint(
     if len(stated) < _AXES_LEAST_PRESSES:
         return None
     as_stated = _error_mm(stated)
-    best = min(_AXES, key=lambda name: _error_mm(stated, _AXES[name]))
-    error = _error_mm(stated, _AXES[best])
+    errors = {name: _error_mm(stated, axes) for name, axes in _AXES.items()}
+    errors |= _pixel_errors_mm(stated, geometry)
+    best = min(errors, key=lambda name: errors[name])
+    error = errors[best]
     if error > _AXES_PART * as_stated or as_stated < _AXES_LEAST_MM * skin_scale(geometry):
         return None
     return finding(FindingCode.AXES, found_mm=as_stated, expected_mm=error, axes=best)
 
 
-def _error_mm(
-    stated: Sequence[PressObservation], axes: tuple[float, float, float, float] = (1, 0, 0, 1)
-) -> float:
+def _error_mm(stated: Sequence[PressObservation], axes: Linear = (1, 0, 0, 1)) -> float:
     """Median distance of the located places from the stated ones as read by other axes, mm."""
     a, b, c, d = axes
     places = [
@@ -215,6 +229,37 @@ def _error_mm(
     return float(
         np.median([o.place_error_mm(*place) for o, place in zip(stated, places, strict=True)])
     )
+
+
+def _pixel_errors_mm(stated: Sequence[PressObservation], geometry: Geometry) -> dict[Axes, float]:
+    """The same for places that are read as pixels of the image."""
+    disc = geometry.disc
+    origins = {
+        Axes.PIXELS: (disc.col_c, disc.row_c, False),
+        Axes.PIXELS_SWAPPED: (disc.col_c, disc.row_c, True),
+        Axes.PIXELS_FROM_MIDDLE: (0.0, 0.0, False),
+    }
+    errors = {}
+    for name, (col, row, swapped) in origins.items():
+        apart = []
+        for o in stated:
+            mm = _mm_per_px(geometry, o)
+            at_col, at_row = o.place_mm[::-1] if swapped else o.place_mm
+            apart.append(o.place_error_mm((at_col - col) * mm, (at_row - row) * mm))
+        errors[name] = float(np.median(apart))
+    return errors
+
+
+def _mm_per_px(geometry: Geometry, seen: PressObservation) -> float:
+    """Size of a pixel on the undeformed skin where a press is located."""
+    d = geometry.camera_distance_mm
+    if d is None:
+        return geometry.mm_per_px
+    z_mm = geometry.apex_z_mm
+    if geometry.skin == "dome":
+        rho2 = seen.located_x_mm**2 + seen.located_y_mm**2
+        z_mm = math.sqrt(max(geometry.skin_radius_mm**2 - rho2, 0.0))
+    return (z_mm + d) / geometry.f_px
 
 
 def zero_hint(

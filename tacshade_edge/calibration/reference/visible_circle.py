@@ -21,6 +21,7 @@ from tacshade_edge.calibration.reference.rim import (
 )
 from tacshade_edge.calibration.sentences import circle_to_state
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.plausibility.stated_circle import judge_circle
 from tacshade_edge.sensor.geometry.disc import disc_mask
 from tacshade_edge.types import F64, U8, Disc
 
@@ -84,6 +85,23 @@ def visible_disc(grey: U8, stated: Disc | None) -> Disc:
     return disc
 
 
+def other_statement(grey: U8, stated: Disc, radius_mm: float) -> CalibrationFinding | None:
+    """That a stated circle leaves out markers, and is the one that the image shows if it is read
+    otherwise; None if it does not, or is not. `radius_mm` is that of the circle on the skin.
+    """
+    field = find_markers(grey)
+    if not field or field.holds(stated, _STATED_PART):
+        return None
+    try:
+        found = find_disc(grey)
+    except CircleNotFoundError as error:
+        if error.guess is None:
+            return None
+        found = error.guess
+    doubt = judge_circle(_circle(stated), _circle(found), grey.shape[0], radius_mm)
+    return finding(FindingCode.CIRCLE_STATED, suspicion=doubt) if doubt else None
+
+
 def found_circle_doubt(grey: U8, disc: Disc) -> CalibrationFinding | None:
     """That a found circle bounds the markers, but no rim is seen to cut the pattern;
     None if one is.
@@ -101,6 +119,10 @@ def stated_circle_doubt(grey: U8, disc: Disc) -> CalibrationFinding | None:
     if not field or field.holds(disc, _STATED_PART):
         return None
     return finding(FindingCode.MARKERS_OUTSIDE, percent=100 * (1 - _STATED_PART))
+
+
+def _circle(disc: Disc) -> tuple[float, float, float]:
+    return disc.row_c, disc.col_c, disc.radius_px
 
 
 def find_disc(grey: U8) -> Disc:

@@ -69,6 +69,20 @@ def turned(a: float, b: float, c: float, d: float) -> Change:
     )
 
 
+def in_px(col: float, row: float, *, swapped: bool = False) -> Change:
+    """Places read off the image, whose origin has this column and row from the circle's middle."""
+    geometry = calibrated(count=0).geometry
+
+    def change(o: PressObservation) -> PressObservation:
+        x_mm, y_mm = o.x_mm or 0.0, o.y_mm or 0.0
+        z_mm = math.sqrt(geometry.skin_radius_mm**2 - x_mm**2 - y_mm**2) - o.depth_mm
+        px = geometry.f_px / (z_mm + (geometry.camera_distance_mm or 0.0))
+        place = (col + px * x_mm, row + px * y_mm)
+        return replace(o, x_mm=place[swapped], y_mm=place[not swapped])
+
+    return change
+
+
 MISTAKES: dict[str, Change] = {
     "": lambda o: o,
     "are the depths in cm?": lambda o: replace(o, depth_mm=o.depth_mm / 10),
@@ -86,6 +100,10 @@ MISTAKES: dict[str, Change] = {
     "if x and y are in cm": turned(0.1, 0, 0, 0.1),
     "if x and y are in m": turned(0.001, 0, 0, 0.001),
     "if x and y are in inches": turned(1 / 25.4, 0, 0, 1 / 25.4),
+    "if x and y are in µm": turned(1000, 0, 0, 1000),
+    "if x and y are columns and rows in px": in_px(163.8, 118.2),
+    "if x and y are rows and columns in px": in_px(163.8, 118.2, swapped=True),
+    "if x and y are in px from the middle of the visible circle": in_px(0, 0),
 }
 
 
@@ -98,6 +116,53 @@ def test_a_gross_mistake_of_the_table_is_named(mistake: str) -> None:
     assert all(mistake in sentence(one) for one in found)
     unplaced = [replace(MISTAKES[mistake](o), x_mm=None, y_mm=None) for o in seen()]
     assert len(gross_mistakes(unplaced, geometry)) == ("they" in mistake or "depths" in mistake)
+
+
+ORDERS: dict[str, Callable[[int], int]] = {
+    "the row before?": lambda k: k - 1,
+    "the row after?": lambda k: k + 1,
+    "in the opposite order?": lambda k: -1 - k,
+    "in another order?": lambda k: 7 * k,  # of 20
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", ORDERS)
+def test_values_of_other_rows_are_named_with_their_images(order: str) -> None:
+    geometry, table = calibrated(count=0).geometry, half_presses()
+    of = [ORDERS[order](k) % len(table) for k in range(len(table))]
+    wrong = [
+        replace(
+            press, x_mm=table[k].x_mm, y_mm=table[k].y_mm, depth_mm=table[k].depth_mm, radius_mm=5.0
+        )
+        for press, k in zip(table, of, strict=True)
+    ]
+    observations = [
+        replace(o, x_mm=p.x_mm, y_mm=p.y_mm, depth_mm=p.depth_mm)
+        for o, p in zip(seen(), wrong, strict=True)
+    ]
+    assert gross_mistakes(seen(), geometry, table) == ()
+    (found,) = gross_mistakes(observations, geometry, wrong)
+    assert found.code is FindingCode.OTHER_ROWS
+    assert order in sentence(found)
+    image, row = (int(str(found.values[name]).removeprefix("press ")) for name in ("image", "row"))
+    assert of[row] == image
+    # Some of the images show nothing.
+    assert gross_mistakes(observations[2:-1], geometry, wrong)[0].code is FindingCode.OTHER_ROWS
+    # Without places, the depths show an order that is simple.
+    unplaced = [replace(press, x_mm=None, y_mm=None) for press in wrong]
+    bare = [replace(o, x_mm=None, y_mm=None) for o in observations]
+    found_codes = [one.code for one in gross_mistakes(bare, geometry, unplaced)]
+    assert (FindingCode.OTHER_ROWS in found_codes) == (order != "in another order?")
+
+
+@pytest.mark.slow
+def test_places_on_the_other_side_of_the_middle_show_no_size_of_the_skin() -> None:
+    table = [replace(o, x_mm=-(o.y_mm or 0.0), y_mm=-(o.x_mm or 0.0)) for o in seen()[::-1]]
+    assert all(
+        one.code is not FindingCode.SKIN_SIZE
+        for one in gross_mistakes(table, calibrated(count=0).geometry)
+    )
 
 
 @pytest.mark.slow

@@ -27,9 +27,11 @@ from tacshade_edge.calibration.reference.pattern import (
 from tacshade_edge.calibration.reference.visible_circle import (
     find_disc,
     found_circle_doubt,
+    other_statement,
     stated_circle_doubt,
     visible_disc,
 )
+from tacshade_edge.calibration.sentences import sentence
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.simulator.render import Print, Renderer, print_features, project
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
@@ -245,6 +247,26 @@ def answer(grey: U8, true: Disc) -> tuple[str, float]:
 def test_a_stated_circle_without_the_markers_is_doubted(stated: Disc, doubted: bool) -> None:
     for model in (HALF, TACTIP):
         assert bool(stated_circle_doubt(to_grey(references(model)[0]), stated)) == doubted
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        (Disc(118.2, 163.8, 102.5), ""),
+        (Disc(118.2, 163.8, 93.0), ""),
+        (Disc(118.2, 163.8, 75.0), ""),  # too small, as nobody knows why
+        (Disc(163.8, 118.2, 102.5), "are row and column swapped?"),
+        (Disc(15.7, 61.3, 102.5), "is that the corner of the square around the circle?"),
+        (Disc(0.0, 0.0, 15.3), "is the radius in mm?"),
+        (Disc(59.1, 81.9, 51.2), "was it measured in an image of another size?"),
+        (Disc(500.0, 900.0, 100.0), ""),
+    ],
+)
+def test_a_circle_that_is_stated_otherwise_is_named(stated: Disc, said: str) -> None:
+    for model in (HALF, TACTIP):
+        found = other_statement(to_grey(references(model)[0]), stated, 15.3)
+        assert bool(found) == bool(said)
+        assert found is None or said in sentence(found)
 
 
 FOUND = {
