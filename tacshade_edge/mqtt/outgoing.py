@@ -1,5 +1,4 @@
-"""Publishing to the broker: it never blocks its caller,
-and its memory is bounded whatever the peer does.
+"""Publishing: it never blocks its caller, and its memory is bounded whatever the broker does.
 
 paho's own queue is unbounded for QoS 0, so every topic has a slot: one waiting payload, the newest,
 and at most two that paho holds and has not yet written.
