@@ -7,7 +7,7 @@ import socketserver
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from http.server import ThreadingHTTPServer
 from typing import Any, Final, Literal
@@ -19,11 +19,22 @@ from tacshade_edge.bridge.roster import Refusals, Roster
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.listening_socket import Connections, ListeningSocket
 from tacshade_edge.wire.health_topics import Health
-from tacshade_edge.wire.topics import ALIVE, STATES, State, decode_health, decode_state
+from tacshade_edge.wire.sensor_topics import Contact
+from tacshade_edge.wire.topics import (
+    ALIVE,
+    STATES,
+    State,
+    decode_contact,
+    decode_contact_event,
+    decode_health,
+    decode_state,
+)
 
 # Five are missed before an alert: a busy network delays one or two.
 FRESH_S: Final = 5.0
-"""Age at which a sensor's `health`, published once a second, is out of date."""
+"""Age at which a sensor's `health` or `contact`, published at least once a second, is out of
+date.
+"""
 
 SENSORS_MAX: Final = 256
 CONNECTIONS_MAX: Final = 16
@@ -31,9 +42,10 @@ CONNECTIONS_MAX: Final = 16
 _SPEAK_S: Final = 5.0
 # How late it may end; the default is 0.5 s.
 _POLL_S: Final = 0.1
-_TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(state|health)")
+_TOPIC: Final = re.compile(r"tacshade/([A-Za-z0-9_-]{1,64})/(state|health|contact|event/contact)")
 # Prometheus wants base units.
 _S_PER_MS: Final = 0.001
+_M_PER_MM: Final = 0.001
 
 
 @dataclass(slots=True)
@@ -44,19 +56,30 @@ class _Sensor:
     framed_s: float = float("-inf")
     """When the number of captured frames was last heard to have changed."""
     has_health: bool = False
+    contact: Contact | None = None
+    touched_s: float = float("-inf")
+    """When `contact` was heard."""
+    contacts: int = 0
+    """How many have begun since the sensor is known."""
 
 
 class SensorMetrics:
-    """The latest states and counters of some sensors, or all that publish:
-    a collector for a `CollectorRegistry`.
+    """The latest states and counters of some sensors, or all that publish, and their contacts if
+    `contact`, which makes them compute each frame: a collector for a `CollectorRegistry`.
     """
 
-    def __init__(self, sensors: list[str], clock_s: Callable[[], float] = time.monotonic) -> None:
-        self._clock_s = clock_s
+    def __init__(
+        self,
+        sensors: list[str],
+        clock_s: Callable[[], float] = time.monotonic,
+        *,
+        contact: bool = False,
+    ) -> None:
+        self._clock_s, self._contact = clock_s, contact
         self.topics = {
             f"tacshade/{sensor_id}/{name}"
             for sensor_id in sensors or ["+"]
-            for name in ("state", "health")
+            for name in ("state", "health", *(("contact", "event/contact") if contact else ()))
         }
         self._lock = threading.Lock()
         self._sensors: Roster[_Sensor] = Roster(SENSORS_MAX, lambda _: _Sensor(), self._rank)
@@ -75,7 +98,9 @@ class SensorMetrics:
                 return
             sensor_id, name = found.groups()
             try:
-                if payload:
+                if payload and name in ("contact", "event/contact"):
+                    self._hear_contact(sensor_id, name, payload)
+                elif payload:
                     self._hear(sensor_id, name, payload, retained=retained)
                 elif name == "state":
                     self._sensors.drop(sensor_id)
@@ -95,22 +120,12 @@ class SensorMetrics:
                 for name, sensor in sensors
                 if sensor.health and self._is_alive(sensor)
             }
-            framed = {name for name, one in sensors if self._clock_s() - one.framed_s <= FRESH_S}
-        up = GaugeMetricFamily(
-            "tacshade_up",
-            "1 while the daemon is running and publishing its health; absent once it has stopped",
-            labels=["sensor"],
-        )
-        state = GaugeMetricFamily(
-            "tacshade_state", "1 for the current state", labels=["sensor", "state"]
-        )
-        for name, sensor in sensors:
-            # A sensor that never published its health is a replay;
-            # one that stopped did so on purpose.
-            if sensor.has_health and sensor.state != "stopped":
-                up.add_metric([name], float(name in fresh))
-            for one in STATES if sensor.state else ():
-                state.add_metric([name, one], float(sensor.state == one))
+            framed = {name for name, one in sensors if self._is_recent(one.framed_s)}
+            touches = [
+                (name, one.contact if self._is_recent(one.touched_s) else None, one.contacts)
+                for name, one in sensors
+                if name in fresh
+            ]
         refusals = CounterMetricFamily(
             "tacshade_bridge_refused",
             "Messages that the bridge left out, by reason",
@@ -118,7 +133,9 @@ class SensorMetrics:
         )
         for why, count in refused.items():
             refusals.add_metric([why], count)
-        yield from (up, state, refusals)
+        yield from (*_state_families(sensors, fresh), refusals)
+        if self._contact:
+            yield from _contact_families(touches)
         for kind, name, text, labels, samples in _OF_HEALTH:
             family = kind(f"tacshade_{name}", text, labels=["sensor", *labels])
             for sensor_id, health in fresh.items():
@@ -146,11 +163,24 @@ class SensorMetrics:
                 sensor.framed_s = self._clock_s()
             sensor.health, sensor.heard_s = health, self._clock_s()
 
+    def _hear_contact(self, sensor_id: str, name: str, payload: bytes) -> None:
+        contact = decode_contact(payload) if name == "contact" else None
+        begins = name == "event/contact" and decode_contact_event(payload).type == "new"
+        # It makes no room for a sensor, which is known by its state and health.
+        if (sensor := self._sensors.get(sensor_id)) is None:
+            return
+        sensor.contacts += begins
+        if contact is not None:
+            sensor.contact, sensor.touched_s = contact, self._clock_s()
+
+    def _is_recent(self, heard_s: float) -> bool:
+        return self._clock_s() - heard_s <= FRESH_S
+
     def _is_alive(self, sensor: _Sensor) -> bool:
         """Whether the sensor runs and its health is fresh;
         its state is unknown if the roster was full when it came.
         """
-        return sensor.state in (*ALIVE, "") and self._clock_s() - sensor.heard_s <= FRESH_S
+        return sensor.state in (*ALIVE, "") and self._is_recent(sensor.heard_s)
 
     def _rank(self, sensor: _Sensor) -> int:
         return 2 if self._is_alive(sensor) else int(sensor.has_health)
@@ -189,6 +219,51 @@ class MetricsServer(ThreadingHTTPServer):
         self.shutdown()
         self.server_close()
         self._thread.join()
+
+
+def _state_families(sensors: list[tuple[str, _Sensor]], fresh: Collection[str]) -> Iterator[Metric]:
+    """Yield whether each sensor is up, which those in `fresh` are, and its state."""
+    up = GaugeMetricFamily(
+        "tacshade_up",
+        "1 while the daemon is running and publishing its health; absent once it has stopped",
+        labels=["sensor"],
+    )
+    state = GaugeMetricFamily(
+        "tacshade_state", "1 for the current state", labels=["sensor", "state"]
+    )
+    for name, sensor in sensors:
+        # A sensor that never published its health is a replay;
+        # one that stopped did so on purpose.
+        if sensor.has_health and sensor.state != "stopped":
+            up.add_metric([name], float(name in fresh))
+        for one in STATES if sensor.state else ():
+            state.add_metric([name, one], float(sensor.state == one))
+    yield from (up, state)
+
+
+def _contact_families(touches: list[tuple[str, Contact | None, int]]) -> Iterator[Metric]:
+    """Yield what touches the sensors, by name: their latest `contact`, if it is of now, and the
+    number of contacts so far. What is unknown is absent.
+    """
+    touching = GaugeMetricFamily(
+        "tacshade_contact",
+        "1 while something touches, also if its depth is unknown; absent while this is unknown",
+        labels=["sensor"],
+    )
+    depth = GaugeMetricFamily(
+        "tacshade_contact_depth_meters", "Greatest depth of the latest frame", labels=["sensor"]
+    )
+    begun = CounterMetricFamily(
+        "tacshade_contacts", "Contacts that have begun since the bridge started", labels=["sensor"]
+    )
+    for name, latest, contacts in touches:
+        begun.add_metric([name], contacts)
+        if latest is None or latest.contact is None:
+            continue
+        touching.add_metric([name], float(bool(latest.contact or latest.touched)))
+        if latest.depth_max_mm is not None:
+            depth.add_metric([name], latest.depth_max_mm * _M_PER_MM)
+    yield from (touching, depth, begun)
 
 
 Samples = dict[tuple[str, ...], float]

@@ -8,6 +8,7 @@ import contextlib
 import json
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,10 @@ import pytest
 
 from support.mqtt_rig import BridgeProcess, Broker
 from support.patience import patience, wait_until
-from support.published_sensor import PublishedSensor, health
+from support.published_sensor import PublishedSensor, bump, health, unmeasured
+from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.types import Reconstruction
+from tacshade_edge.wire import messages
 
 parser = pytest.importorskip(
     "prometheus_client.parser", reason="the extra prometheus is not installed"
@@ -128,6 +132,58 @@ def test_real_hands_come_before_invented_ones() -> None:
         if "refused" in f.name
     }
     assert refused == {"undecodable": 0, "no_room": prometheus.SENSORS_MAX, "unknown_topic": 0}
+
+
+def contact_of(sensors: Any) -> dict[str, float]:
+    return {
+        sample.name: sample.value
+        for family in sensors.collect()
+        for sample in family.samples
+        if "contact" in sample.name
+    }
+
+
+def begun(type_: str) -> bytes:
+    values = {"t_ns": 1, "start_ns": 1, "end_ns": None, "depth_max_mm": None, "volume_mm3": None}
+    return json.dumps(
+        {"type": type_, "id": 1, **values, "shear_mm": None, "slip": None, "objects": None}
+    ).encode()
+
+
+def test_contacts_are_served_on_request_and_absent_while_unknown() -> None:
+    now_s = 100.0
+    sensors = prometheus.SensorMetrics(["left"], lambda: now_s, contact=True)
+    assert prometheus.SensorMetrics(["left"]).topics == {
+        f"tacshade/left/{name}" for name in ("state", "health")
+    }
+    assert sensors.topics == {
+        f"tacshade/left/{name}" for name in ("state", "health", "contact", "event/contact")
+    }
+
+    def show(result: Reconstruction) -> dict[str, float]:
+        sensors.hear("tacshade/left/contact", messages.encode_contact(result, fps=30.0), False)
+        return contact_of(sensors)
+
+    press = bump(1, 1.25, 240, 328, 8)
+    assert show(press) == {}, "of a sensor that has not reported its health"
+    sensors.hear("tacshade/left/health", health(), False)
+    assert contact_of(sensors) == {"tacshade_contacts_total": 0}
+    for type_ in ("new", "update", "end", "new"):
+        sensors.hear("tacshade/left/event/contact", begun(type_), False)
+    count = {"tacshade_contacts_total": 2}
+    depth = "tacshade_contact_depth_meters"
+    assert show(press) == count | {"tacshade_contact": 1, depth: 0.00125}
+    assert show(bump(2, 0.0, 0, 0, 8)) == count | {"tacshade_contact": 0, depth: 0}
+    assert show(unmeasured(3)) == count | {"tacshade_contact": 1}
+    unusable = replace(press, valid=False, reason=Reason(ReasonCode.TORN, "torn"))
+    assert show(unusable) == count
+    assert len(show(press)) == 3
+    now_s += prometheus.FRESH_S + 0.1  # as when the camera is away
+    sensors.hear("tacshade/left/health", health(), False)
+    assert contact_of(sensors) == count
+    show(press)
+    sensors.hear("tacshade/left/state", b"stopped", False)
+    assert contact_of(sensors) == {}
 
 
 def hostile_healths() -> Iterator[bytes]:

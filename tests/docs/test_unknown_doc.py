@@ -250,25 +250,39 @@ def lerobot(played: Played, _: Path) -> str:
     return f"{numbers['contact']:g}, {'NaN' if math.isnan(depth) else f'{depth:g}'}"
 
 
-def prometheus(played: Played, _: Path) -> str:
+def scraped(played: Played) -> dict[str, float]:
+    """The latest values by name, after ten seconds of the state."""
     pytest.importorskip("prometheus_client", reason="the extra prometheus is not installed")
     from support.published_sensor import health
     from tacshade_edge.bridge.prometheus import FRESH_S, SensorMetrics
 
-    clock = iter(range(1000))
-    metrics = SensorMetrics([], clock_s=lambda: next(clock) / 10)
+    clock = iter(range(2000))
+    metrics = SensorMetrics([], clock_s=lambda: next(clock) / 10, contact=True)
     report = json.loads(health())
     frames = 0 if played.silent else 1
-    for _ in range(100):
+    for second in range(100):
         report["frames"]["captured"] += frames
         payload = json.dumps(report).encode()
         metrics.hear("tacshade/x/health", payload, False)
         metrics.hear("tacshade/x/state", b"online", False)
+        if frames or second == 0:
+            metrics.hear("tacshade/x/contact", played.heard["contact"][-1], False)
     assert next(clock) > 10 * FRESH_S
     metrics.hear("tacshade/x/state", played.retained["state"].encode(), False)
-    found = {sample.name: sample.value for metric in metrics.collect() for sample in metric.samples}
+    return {sample.name: sample.value for metric in metrics.collect() for sample in metric.samples}
+
+
+def prometheus(played: Played, _: Path) -> str:
+    found = scraped(played)
     up = {None: "absent", 0.0: "down", 1.0: "up"}[found.get("tacshade_up")]
     return up + (", latency" if "tacshade_latency_seconds" in found else "")
+
+
+def prometheus_contact(played: Played, _: Path) -> str:
+    found = scraped(played)
+    contact, depth_m = (found.get(f"tacshade_contact{what}") for what in ("", "_depth_meters"))
+    depth = "absent" if depth_m is None else f"{depth_m:g}"
+    return f"{'absent' if contact is None else f'{contact:g}'}, {depth}"
 
 
 CONSUMERS: Final[dict[str, Callable[[Played, Path], str]]] = {
@@ -281,6 +295,7 @@ CONSUMERS: Final[dict[str, Callable[[Played, Path], str]]] = {
     "library": library,
     "LeRobot": lerobot,
     "Prometheus": prometheus,
+    "Prometheus with `--contact`": prometheus_contact,
 }
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from tacshade_edge.bridge.expected_sensors import ExpectedSensors
 from tacshade_edge.cli.commands.dashboard import in_url, is_loopback
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
-from tacshade_edge.cli.shared.options import add_option, address, need, number
+from tacshade_edge.cli.shared.options import add_flag, add_option, address, need, number
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt.client import BrokerAddress
 from tacshade_edge.mqtt.follower import Follower
@@ -39,18 +39,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ),
         ("prometheus", 9469, "serve every sensor's health as Prometheus metrics on /metrics"),
     ):
+        kind = _kind(kinds, name, text)
         listen = (
             f"address and port to listen on; 0 picks a free port (default: 127.0.0.1:{port}, "
             "this machine only)"
         )
         add_option(
-            _kind(kinds, name, text),
-            "--listen",
-            "HOST[:PORT]",
-            listen,
-            address(port),
-            default=("127.0.0.1", port),
+            kind, "--listen", "HOST[:PORT]", listen, address(port), default=("127.0.0.1", port)
         )
+        if name == "prometheus":
+            text = "serve contacts too, which makes the sensors compute every frame"
+            add_flag(kind, "--contact", text)
     text = "show sensors to ROS 2 (Jazzy or later) with rmw_zenoh; nothing of ROS is needed here"
     _add_ros2(_kind(kinds, "ros2", text))
 
@@ -123,7 +122,7 @@ def _prometheus(args: argparse.Namespace, broker: BrokerAddress) -> None:
     from tacshade_edge.bridge.prometheus import MetricsServer, SensorMetrics
 
     host, port = args.listen
-    sensors = SensorMetrics(args.sensor)
+    sensors = SensorMetrics(args.sensor, contact=args.contact)
     registry = CollectorRegistry()
     registry.register(sensors)
     follower = Follower(broker, sensors.hear)
