@@ -53,7 +53,7 @@ _LOG_CHARS_MAX: Final = 500
 _SLIP_BYTES_MAX: Final = 4096
 # channel: its schema, and the sensor's topics that it is made from.
 # Transforms come along with the others' messages.
-_CHANNELS: Final[dict[str, tuple[Schema, tuple[str, ...]]]] = {
+CHANNELS: Final[dict[str, tuple[Schema, tuple[str, ...]]]] = {
     "height": (RawImage.get_schema(), ("height",)),
     "cloud": (PointCloud.get_schema(), ("cloud",)),
     "skin": (SceneUpdate.get_schema(), ("height",)),
@@ -103,7 +103,7 @@ class _Sensor:
             f"{self._base}/{topic}"
             for name, channel in self._channels.items()
             if self._viewers.watched(channel)
-            for topic in _CHANNELS[name][1]
+            for topic in CHANNELS[name][1]
         }
 
     def repeat(self) -> None:
@@ -116,8 +116,8 @@ class _Sensor:
     def place(self, info: Info) -> None:
         """Take over the sensor's geometry and its place on the robot."""
         if not self._channels:
-            schemas = {f"/{self._base}/{name}": schema for name, (schema, _) in _CHANNELS.items()}
-            self._channels = dict(zip(_CHANNELS, self._viewers.advertise(schemas), strict=True))
+            schemas = {f"/{self._base}/{name}": schema for name, (schema, _) in CHANNELS.items()}
+            self._channels = dict(zip(CHANNELS, self._viewers.advertise(schemas), strict=True))
             _log.info("showing %s", self._id)
         self._info, now_ns = info, time.time_ns()
         self._keep("tf", lambda: made.flange_T_sensor(info, self._id, now_ns))
