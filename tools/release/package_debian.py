@@ -119,6 +119,8 @@ def stage(root: Path, wheel: Path, machine: str, python: str, version: str) -> N
     about.mkdir(parents=True)
     (about / "copyright").write_text(COPYRIGHT + (TREE / "LICENSE").read_text())
     shutil.copy(TREE / "CHANGELOG.md", about)
+    # What a person copies to other programs: a board may have no clone.
+    shutil.copytree(TREE / "config/integrations", about / "examples")
     check_machine(root, machine)
     # Before anything in DEBIAN, which is not installed.
     files = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink()]
