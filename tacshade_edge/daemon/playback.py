@@ -103,7 +103,9 @@ def replay(
             progress.first_ns = frame.t_ns
         if speed is not None:
             due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
-            pause.wait(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
+            wait_s = (due_ns - time.monotonic_ns()) / 1e9
+            # A table's times may be a century apart, and a thread waits for at most three.
+            pause.wait(min(max(0.0, wait_s), threading.TIMEOUT_MAX))
         timer.begin()
         result = step_and_track(reconstructor, tracker, frame, timer.mark)
         assert result is not None  # by default everything is needed

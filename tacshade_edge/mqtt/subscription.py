@@ -161,8 +161,10 @@ class Subscription:
         Raises DeviceError: the thread that receives has ended with the exception that is its cause.
         """
         self._awaited = True
+        # More is an OverflowError.
+        most_s = None if timeout_s is None else min(timeout_s, threading.TIMEOUT_MAX)
         try:
-            self.changed.wait_for(lambda: ready() or self.closed or self._crash, timeout_s)
+            self.changed.wait_for(lambda: ready() or self.closed or self._crash, most_s)
         finally:
             self._awaited = False
         if self._crash is not None and not self.closed:

@@ -14,6 +14,7 @@ import numpy as np
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.quoting import counted, shown
+from tacshade_edge.recording.frame_table import T_NS_MAX
 from tacshade_edge.regular_files import open_regular
 from tacshade_edge.types import U8
 
@@ -29,6 +30,9 @@ _BOXES_MAX: Final = 1 << 20
 _EBML, _SEGMENT = 0x1A45DFA3, 0x18538067
 _BOXES: Final = (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip")
 DEFAULT_FPS: Final = 30.0
+# As of the option --fps; damaged files state others.
+RATE_LEAST_HZ, RATE_MOST_HZ = 1e-3, 1e6
+_STATED_MS_MAX: Final = T_NS_MAX / 1e6
 
 
 class Video:
@@ -55,7 +59,7 @@ class Video:
         if not video.isOpened() or not video.grab():
             raise ConfigError(f"{path}: {_unreadable(path)}")
         fps, count = video.get(cv2.CAP_PROP_FPS), video.get(cv2.CAP_PROP_FRAME_COUNT)
-        self.fps = fps if math.isfinite(fps) and fps > 0 else DEFAULT_FPS
+        self.fps = fps if RATE_LEAST_HZ <= fps <= RATE_MOST_HZ else DEFAULT_FPS
         self._stated = int(count) if math.isfinite(count) and count > 0 else 0
 
     def __iter__(self) -> Iterator[tuple[int, U8]]:
@@ -69,7 +73,8 @@ class Video:
         # What some containers state no better than by numbers; without it, equal times.
         period_ns = round(1e9 / self.fps)
         while (grabbed := video.read())[0]:
-            stated_ns = round(video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            stated_ms = video.get(cv2.CAP_PROP_POS_MSEC)
+            stated_ns = round(stated_ms * 1e6) if abs(stated_ms) <= _STATED_MS_MAX else 0
             first_ns = first_ns if count else stated_ns
             later_ns = stated_ns - first_ns
             t_ns = 0 if not count else later_ns if later_ns > t_ns else t_ns + period_ns

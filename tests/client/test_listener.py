@@ -5,6 +5,7 @@ and what waits for a slow reader.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from pathlib import Path
@@ -52,6 +53,8 @@ def test_messages_of_one_sensor_come_decoded(broker: Broker) -> None:
         assert found["status/camera"].value.state == "streaming"
         assert heard.refused + heard.passed_over == 1
         assert heard.get(0.0) is None
+        sender.publish("tacshade/left/state", b"degraded")
+        assert heard.get(math.inf) is not None
     with tc.listen(where, "+", ["state"]) as heard:
         kept = next(heard)
         assert (kept.name, kept.part, kept.value, kept.retained) == (

@@ -92,6 +92,26 @@ def test_no_frame_comes_before_its_time(folder: Path) -> None:
         assert at - began >= seq * PERIOD_NS / 1e9 / speed - 1e-3
 
 
+@pytest.mark.parametrize("speed", [100.0, 0.001, 1e-300])
+def test_a_gap_of_decades_is_waited_for(
+    tmp_path: Path, speed: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread waits for 292 years at most; here somebody wakes it."""
+    folder, wait, waits_s = write_recording(tmp_path / "r", IMAGES, 2**60), threading.Event.wait, []
+
+    def woken(event: threading.Event, timeout: float | None = None) -> bool:
+        if timeout is not None and timeout > 3600:
+            waits_s.append(timeout)
+            threading.Timer(0.01, event.set).start()
+        return wait(event, timeout)
+
+    monkeypatch.setattr(threading.Event, "wait", woken)
+    progress, _, _ = play(folder, speed)
+    assert progress.frames == 4
+    assert min(waits_s) > 86_400 * 365 * 0.3
+    assert max(waits_s) <= threading.TIMEOUT_MAX
+
+
 def test_what_cannot_be_read_is_reported_and_passed_over(folder: Path) -> None:
     (folder / "000000.png").unlink()
     progress, delivered, reported = play(folder, None)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from support.recordings import read_all
 from tacshade_edge.camera.file_source import FilesSource
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.recording.frame_table import T_NS_MAX
 from tacshade_edge.recording.recording import Recording
 from tacshade_edge.recording.video import Video
 
@@ -126,3 +127,15 @@ def test_pictures_are_as_stored_whatever_way_up_a_video_is_to_be_shown(tmp_path:
     assert turned.read()[1].shape == (64, 48, 3)
     for found, stored in zip(Video(path), plain, strict=True):
         np.testing.assert_array_equal(found[1], stored)
+
+
+@pytest.mark.parametrize("rate", [(1, 2**32 - 1), (2**32 - 1, 1)])
+def test_a_rate_that_no_camera_has_is_none(folder: Path, rate: tuple[int, int]) -> None:
+    path = written(folder, "avi", 25.0, 8)
+    data = path.read_bytes()
+    at = data.index(b"strh") + 8 + 20  # the scale, and the rate of the stream
+    path.write_bytes(data[:at] + struct.pack("<II", rate[1], rate[0]) + data[at + 8 :])
+    frames, _ = read_all(Recording(path))
+    times_ns = [each.frame.t_ns for each in frames]
+    assert times_ns == sorted(set(times_ns))
+    assert times_ns[-1] < T_NS_MAX

@@ -11,6 +11,7 @@ from tacshade_edge.cli import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
 from tacshade_edge.cli.shared.options import (
     COUNT,
     POSITIVE,
+    RATE,
     add_flag,
     add_option,
     add_profile,
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fps",
         "N",
         "frame rate of images or a video (default: the video's own times; 30 for images)",
-        POSITIVE,
+        RATE,
     )
     add_option(parser, "--topic", "NAME", "image topic of an MCAP file that has several", str)
     add_option(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from tacshade_edge.calibration import loading
 from tacshade_edge.calibration.reference.references import with_reference
 from tacshade_edge.cli.shared import study
-from tacshade_edge.cli.shared.options import POSITIVE, add_option, need, number, warn
+from tacshade_edge.cli.shared.options import POSITIVE, RATE, add_option, need, number, warn
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.doctor.board import board_facts, heat
 from tacshade_edge.doctor.machine import Machine
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what you need; prints the settings of the most accurate that holds it"
     )
     add_option(wish, "--budget-ms", "MS", "time for 99 of 100 frames in contact", POSITIVE)
-    add_option(wish, "--fps", "N", "frames per second of each finger", POSITIVE)
+    add_option(wish, "--fps", "N", "frames per second of each finger", RATE)
     text = "number of fingers on this machine (default: 1)"
     add_option(wish, "--fingers", "N", text, number("a number from 1 to 100", 1, 100, int))
     text = f"one or more of {', '.join(OUTPUTS)}, together (default: each alone, and all)"

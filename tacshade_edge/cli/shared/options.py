@@ -135,6 +135,7 @@ def number(
 
 FINITE = number("a finite number", -sys.float_info.max, sys.float_info.max)
 POSITIVE = number("a number above 0 and at most a million", sys.float_info.min, 1e6)
+RATE = number("a number from 0.001 to a million", 1e-3, 1e6)
 COUNT = number("a whole number from 0", 0, 2**31 - 1, int)
 PORT = number("a port from 0 to 65535", 0, 65535, int)
 
