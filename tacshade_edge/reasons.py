@@ -62,6 +62,7 @@ class ReasonCode(StrEnum):
     SOURCE_ENDED = "source_ended"
     DAEMON_STOPPED = "daemon_stopped"
     CALIBRATION_CHANGED = "calibration_changed"
+    RECORDING_FULL = "recording_full"
     DISK = "disk"
     DISK_FULL = "disk_full"
     # A step of the profile `auto`, and a reload.

@@ -15,7 +15,7 @@ from typing import BinaryIO, Final
 
 import cv2
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.atomic_files import (
     disk_errors,
     is_nearly_full,
@@ -29,6 +29,7 @@ from tacshade_edge.recording.frame_table import HEADER, MORE, TABLE_NAME, line_c
 from tacshade_edge.recording.recording_content import (
     ABOUT_NAME,
     CALIBRATION_NAME,
+    EVENTS_BYTES_MAX,
     EVENTS_NAME,
     SETTINGS_NAME,
 )
@@ -60,7 +61,7 @@ class RecordingWriter:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.frames = self.bytes = 0
+        self.frames = self.bytes = self._events_bytes = 0
         self._unsynced: list[Path] = []
         self._lines: dict[str, BinaryIO] = {}
         with disk_errors(folder):
@@ -112,9 +113,19 @@ class RecordingWriter:
         self._line(TABLE_NAME, f"{columns},{line_crc32(columns)}")
 
     def event(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Write an event; `t_ns` is on the frames' clock."""
+        """Write an event; `t_ns` is on the frames' clock.
+
+        Raises DeviceError, too, if there would be more than a replay reads.
+        """
+        text = json.dumps({"t_ns": t_ns, "kind": kind, "data": data})
+        if self._events_bytes + len(text) >= EVENTS_BYTES_MAX:  # ASCII, and the line's end
+            raise DeviceError(
+                f"the recording's events fill {EVENTS_BYTES_MAX >> 20} MiB, and no replay reads more",
+                code=ReasonCode.RECORDING_FULL,
+            )
         with disk_errors(self.folder):
-            self._line(EVENTS_NAME, json.dumps({"t_ns": t_ns, "kind": kind, "data": data}))
+            self._line(EVENTS_NAME, text)
+        self._events_bytes += len(text) + 1
 
     def _line(self, name: str, text: str) -> None:
         data = f"{text}\n".encode()

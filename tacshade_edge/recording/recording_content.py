@@ -24,10 +24,12 @@ T = TypeVar("T")
 
 CALIBRATION_NAME, SETTINGS_NAME, EVENTS_NAME = "calibration.npz", "settings.yaml", "events.jsonl"
 ABOUT_NAME: Final = "recording.json"
+EVENTS_BYTES_MAX: Final = 32 << 20
+"""Most bytes of events that are read, and so written: 9 kB a second in the longest recording."""
 _BYTES_MAX: Final = {
     CALIBRATION_NAME: 64 << 20,
     SETTINGS_NAME: 1 << 20,
-    EVENTS_NAME: 8 << 20,
+    EVENTS_NAME: EVENTS_BYTES_MAX,
     ABOUT_NAME: 1 << 20,
 }
 # Hostile JSON takes many times its size once parsed.

@@ -21,12 +21,18 @@ from tacshade_edge.daemon import live_recorder, pre_roll, record_thread
 from tacshade_edge.daemon.live_recorder import LiveRecorder
 from tacshade_edge.daemon.ongoing_recording import STOPPED, TIME
 from tacshade_edge.errors import ConfigError, DeviceError
-from tacshade_edge.recording.frame_table import read_table
+from tacshade_edge.recording import recorder
+from tacshade_edge.recording.frame_table import ROWS_MAX, read_table
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.recording.recording import Recording
+from tacshade_edge.recording.recording_content import content_of, events_in
 from tacshade_edge.settings import Recorder as SettingsOfRecorder
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Calibration, Frame
+from tacshade_edge.wire.requests import RECORD_S_MAX
+
+PRE_ROLL_S_MAX, FPS_MAX = 60, 240
+"""The greatest that the settings take."""
 
 
 class Live:
@@ -231,6 +237,25 @@ def _folder_gone(folder: Path) -> None:
 def _folder_is_a_file(folder: Path) -> None:
     _folder_gone(folder)
     folder.touch()
+
+
+def test_more_marks_than_a_replay_reads_end_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written until then is read; here a replay reads less."""
+    monkeypatch.setattr(recorder, "EVENTS_BYTES_MAX", 2000)
+    live.begin()
+    live.give(Frame(0, time.monotonic_ns(), 0, FREE))
+    live.until(written=1)
+    for _ in range(100):
+        live.recorder.event("mark", text="\u00e4" * 20)
+    status = live.ended()
+    assert (status["state"], status["ending_code"]) == ("stopped", "recording_full")
+    assert 1800 < (live.folder / "events.jsonl").stat().st_size <= 2000
+    assert len(live.events()) == len(list(events_in(content_of(live.folder)))) > 5
+    assert live.about()["frames"] == len(read_table(live.folder / "frames.csv")) == 1
+
+
+def test_the_longest_recording_has_a_table_that_is_read() -> None:
+    assert (RECORD_S_MAX + PRE_ROLL_S_MAX) * FPS_MAX < ROWS_MAX
 
 
 @pytest.mark.parametrize("happen", [_folder_gone, _folder_is_a_file])

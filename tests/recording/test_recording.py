@@ -282,6 +282,6 @@ def test_what_is_too_large_is_refused(tmp_path: Path) -> None:
         "c",
     ]
     with (tmp_path / "events.jsonl").open("wb") as stream:
-        stream.truncate((8 << 20) + 1)
-    with pytest.raises(ConfigError, match=r"events\.jsonl: found more than 8388608 bytes"):
+        stream.truncate((32 << 20) + 1)
+    with pytest.raises(ConfigError, match=r"events\.jsonl: found more than 33554432 bytes"):
         content_of(tmp_path)
