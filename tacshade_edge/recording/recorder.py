@@ -120,7 +120,7 @@ class RecordingWriter:
         text = json.dumps({"t_ns": t_ns, "kind": kind, "data": data})
         if self._events_bytes + len(text) >= EVENTS_BYTES_MAX:  # ASCII, and the line's end
             raise DeviceError(
-                f"the recording's events fill {EVENTS_BYTES_MAX >> 20} MiB, and no replay reads more",
+                f"the events fill {EVENTS_BYTES_MAX >> 20} MiB, and no replay reads more",
                 code=ReasonCode.RECORDING_FULL,
             )
         with disk_errors(self.folder):

@@ -73,9 +73,9 @@ _AXES: Mapping[Axes, Linear] = {
 # line's slope is one that the network has on known kinds of sensors. Good tables have 0.26 mm at
 # most. tools/studies/calibration.py measures what this finds, rightly and wrongly.
 _LEAST_OFFSET_MM, _OFFSET_DEVIATIONS, _SLOPES = 0.3, 3.0, (0.85, 1.15)
-# Depths are travel from first touch if its coefficient exceeds this,
-# and so many standard deviations.
-_TRAVEL, _TRAVEL_DEVIATIONS = 0.7, 4.0
+# Depths are travel from first touch if its coefficient exceeds this, and so many standard
+# deviations. Of right tables, this refuses one in 20,000 (tools/studies/travel.py).
+_TRAVEL, _TRAVEL_DEVIATIONS = 0.8, 3.5
 # Error of a depth: a part of it, and mm on the nominal skin;
 # and the least deviation relative to that.
 _ERROR_PART, _ERROR_MM, _LEAST_DEVIATION = 0.12, 0.15, 0.3
@@ -282,20 +282,22 @@ def zero_hint(
     x = np.stack((found, missing, np.ones_like(found)), axis=1)
     # Presses that all lie at the middle miss nothing: then the three columns depend on each other.
     if len(found) >= _LEAST_TRAVELLED and np.linalg.matrix_rank(x) == x.shape[1]:
-        (_, share, _), (_, deviation, _) = _robust_fit(x, stated)
-        if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation):
+        (_, share, _), (_, deviation, _), beyond = _robust_fit(x, stated)
+        # With few presses, the median of the errors is small now and then by chance: then it
+        # takes all errors.
+        if share >= max(_TRAVEL, _TRAVEL_DEVIATIONS * deviation * max(1.0, beyond)):
             raise FindingError(finding(FindingCode.TRAVEL))
-    (slope, offset), (_, deviation) = _robust_fit(x[:, [0, 2]], stated)
-    beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
-    if not (beyond and _SLOPES[0] < slope < _SLOPES[1]):
+    (slope, offset), (_, deviation), _ = _robust_fit(x[:, [0, 2]], stated)
+    is_beyond = abs(offset) > max(_LEAST_OFFSET_MM, _OFFSET_DEVIATIONS * deviation)
+    if not (is_beyond and _SLOPES[0] < slope < _SLOPES[1]):
         return None
     code = FindingCode.DEPTHS_TOO_GREAT if offset > 0 else FindingCode.DEPTHS_TOO_SMALL
     return finding(code, by_mm=float(abs(offset) * scale))
 
 
-def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
-    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths,
-    and their deviations (C,).
+def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64, float]:
+    """Fit coefficients (C,) of the columns of x (N, C), first the network's depths; also return
+    their deviations (C,), by the median error, and the ratio of the RMS error to that.
     """
     trust = 1 / np.hypot(_ERROR_MM, _ERROR_PART * x[:, 0])
     weight = trust * trust
@@ -307,4 +309,5 @@ def _robust_fit(x: F64, stated: F64) -> tuple[F64, F64]:
         weight = trust * trust * np.minimum(1, _HUBER * deviation / np.maximum(error, 1e-9))
     free = len(x) / (len(x) - x.shape[1])
     deviations: F64 = deviation * np.sqrt(free * np.diag(np.linalg.inv(normal)))
-    return np.asarray(coefficients, np.float64), deviations
+    spread = math.sqrt(float(error @ error) / (len(x) - x.shape[1])) / deviation
+    return np.asarray(coefficients, np.float64), deviations, spread

@@ -5,17 +5,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from support.calibrated_sensor import FULL, calibrated, references, sensor_of, simulated
 from support.calibrated_sensor import presses as half_presses
 from support.observed_presses import SEEDS, observed
+from support.stated_depths import GEOMETRY, right_depths
 from tacshade_edge.calibration.calibrate import calibrate
 from tacshade_edge.calibration.findings import Axes, CalibrationFinding, FindingCode
-from tacshade_edge.calibration.indenters import Ball, stated_ball
+from tacshade_edge.calibration.indenters import Ball
 from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.observation import PressObservation
 from tacshade_edge.calibration.press_machine import from_travel
@@ -24,9 +22,8 @@ from tacshade_edge.calibration.presses.table_check import gross_mistakes, size_m
 from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.lab.simulator.script import ball_presses
 from tacshade_edge.sensor.inference.network import load_networks
-from tacshade_edge.types import Disc, Geometry
+from tools.studies import travel
 
-GEOMETRY = Geometry(20.0, 14.0, 50.0, Disc(100, 100, 80))
 Change = Callable[[PressObservation], PressObservation]
 
 
@@ -174,23 +171,13 @@ def test_axes_are_judged_without_a_network_too(seed: int) -> None:
     assert hint.values["axes"] is Axes.SWAPPED
 
 
-def set_of(count: int, seed: int) -> tuple[list[float], list[Ball]]:
-    """What a network that is off by 7 % and 0.15 mm finds of balls."""
-    rng = np.random.default_rng(seed)
-    balls = [
-        stated_ball(20.0, p.x_mm, p.y_mm, p.depth_mm, radius)
-        for p, radius in ball_presses(FULL, count, seed)
-    ]
-    return [0.93 * b.depth_max_mm(20.0) + 0.15 * float(rng.standard_normal()) for b in balls], balls
-
-
 def lower(ball: Ball, by_mm: float) -> Ball:
     return replace(ball, z_mm=ball.z_mm - by_mm)
 
 
 @pytest.mark.parametrize("off_mm", [-0.8, 0.8])
 def test_a_constant_offset_is_measured(off_mm: float) -> None:
-    found_mm, balls = set_of(24, 1)
+    found_mm, balls = right_depths(24, 1)
     assert zero_hint(found_mm, balls, GEOMETRY) is None
     hint = zero_hint(found_mm, [lower(ball, off_mm) for ball in balls], GEOMETRY)
     assert hint is not None
@@ -200,7 +187,7 @@ def test_a_constant_offset_is_measured(off_mm: float) -> None:
 
 
 def test_what_says_nothing_has_no_hint() -> None:
-    found_mm, balls = set_of(24, 2)
+    found_mm, balls = right_depths(24, 2)
     off = [lower(ball, 0.8) for ball in balls]
     assert zero_hint(found_mm, off, GEOMETRY) is not None
     assert zero_hint(found_mm[:11], off[:11], GEOMETRY) is None  # too few
@@ -265,7 +252,17 @@ def test_travel_from_first_touch_is_refused_and_read_where_it_is_asked_for(
     assert warnings_of(read) == ()
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.7, 1.0, 1.4]), st.integers(12, 40))
-def test_right_depths_are_not_taken_for_travel(seed: int, factor: float, count: int) -> None:
-    found_mm, balls = set_of(count, seed)
-    zero_hint([factor * h for h in found_mm], balls, GEOMETRY)  # does not refuse them
+@pytest.mark.parametrize(("seed", "factor", "count"), [(8154, 0.7, 31)])
+def test_right_depths_that_look_like_travel_are_not_refused(
+    seed: int, factor: float, count: int
+) -> None:
+    found_mm, balls = right_depths(count, seed)
+    assert zero_hint([factor * h for h in found_mm], balls, GEOMETRY) is None
+
+
+@pytest.mark.slow
+def test_right_depths_are_not_taken_for_travel() -> None:
+    """The study has what is rarer: of 20,000 such tables, one."""
+    wrongly, rightly = travel.rates(0, 150)
+    assert wrongly == 0
+    assert rightly > 120
