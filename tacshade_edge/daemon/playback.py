@@ -104,17 +104,13 @@ def replay(
         if speed is not None:
             due_ns = begin_ns + (frame.t_ns - progress.first_ns) / speed
             wait_s = (due_ns - time.monotonic_ns()) / 1e9
-            # A table's times may be a century apart, and a thread waits for at most three.
-            pause.wait(min(max(0.0, wait_s), threading.TIMEOUT_MAX))
+            pause.wait(min(max(0.0, wait_s), threading.TIMEOUT_MAX))  # a table may state more
         timer.begin()
         result = step_and_track(reconstructor, tracker, frame, timer.mark)
         assert result is not None  # by default everything is needed
-        if (
-            progress.frames == 0
-            and result.reason is not None
-            and result.reason.code is ReasonCode.SIZE
-        ):
-            raise ConfigError(f"{recorded.name}: {result.reason.text}")
+        reason = result.reason
+        if progress.frames == 0 and reason is not None and reason.code is ReasonCode.SIZE:
+            raise ConfigError(f"{recorded.name}: {reason.text}")
         for deliver in sinks:
             deliver(recorded, result)
         timer.mark("deliver")

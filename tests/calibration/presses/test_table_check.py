@@ -22,7 +22,6 @@ from tacshade_edge.calibration.presses.table_check import gross_mistakes, size_m
 from tacshade_edge.calibration.sentences import FindingError, sentence
 from tacshade_edge.lab.simulator.script import ball_presses
 from tacshade_edge.sensor.inference.network import load_networks
-from tools.studies import travel
 
 Change = Callable[[PressObservation], PressObservation]
 
@@ -258,11 +257,3 @@ def test_right_depths_that_look_like_travel_are_not_refused(
 ) -> None:
     found_mm, balls = right_depths(count, seed)
     assert zero_hint([factor * h for h in found_mm], balls, GEOMETRY) is None
-
-
-@pytest.mark.slow
-def test_right_depths_are_not_taken_for_travel() -> None:
-    """The study has what is rarer: of 20,000 such tables, one."""
-    wrongly, rightly = travel.rates(0, 150)
-    assert wrongly == 0
-    assert rightly > 120
