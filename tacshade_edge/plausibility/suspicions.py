@@ -27,6 +27,7 @@ class SuspicionCode(Enum):
     POSES_READING = auto()
     POSES_SCATTERED = auto()
     PLACES_SMALL = auto()
+    PLACES_SHORT = auto()
     PLACES_FAST = auto()
     FINGERS_CLOSE = auto()
     FINGERS_APART = auto()
@@ -118,6 +119,10 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     SuspicionCode.PLACES_SMALL: (
         "found presses {factor:.2g} times as deep as the robot moved, and all its places within "
         "{span_mm:.2g} mm, expected x, y, z in mm: are they{unit}"
+    ),
+    SuspicionCode.PLACES_SHORT: (
+        "found presses {factor:.2g} times as deep as the robot moved in them, expected x, y, z in "
+        "mm: are they{unit}"
     ),
     SuspicionCode.PLACES_FAST: (
         "found the robot to move at {speed_m_s:.2g} m/s and more, expected x, y, z in mm: "

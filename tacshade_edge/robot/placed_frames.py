@@ -36,7 +36,8 @@ class PlacedFrames:
         if self._places is None or size_mm != self._size_mm:
             self._size_mm, self._places = size_mm, StreamPlaces(size_mm)
         depth_mm = result.depth_max_mm if result.contact else None
-        self._places.take((pose.x_mm, pose.y_mm, pose.z_mm), result.t_ns, depth_mm)
+        place, facing = (pose.x_mm, pose.y_mm, pose.z_mm), (pose.qw, pose.qx, pose.qy, pose.qz)
+        self._places.take(place, result.t_ns, depth_mm, facing)
         found = self._places.found
         if found is None:
             self.reason = None

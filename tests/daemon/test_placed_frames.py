@@ -37,6 +37,20 @@ def seen(k: int, z_mm: float, unit_mm: float) -> FrameResult:
     return FrameResult(Frame(k, t_ns, 0, IMAGE, pose), calibrated(), found)
 
 
+def test_places_in_inches_are_said_as_well(link: Path) -> None:
+    way = [10 - k / 5 for k in range(50)] + [-k / 5 for k in range(12)] + list(range(10))
+    with PtyRobot(link, rate_hz=100, binary=True) as robot, Side(link) as side:
+        side.until("synchronised", state="connected", sync="two-way", reason_code="")
+        for k, z_mm in enumerate(way * 4):
+            side.robot.see(seen(k, z_mm, 25.4))
+        said = side.until("in inches", state="connected", reason_code="pose_unit")
+        assert "are they in inches?" in said["reason"]
+        wait_until(lambda: any(e.startswith("POSE ") for e in robot.events), 10, "EVT POSE")
+        assert [e for e in robot.events if e.startswith("POSE ")] == [
+            "POSE span_mm=0.48 unit=inches expected=mm"
+        ]
+
+
 def test_places_in_metres_are_said_until_they_are_in_mm(link: Path) -> None:
     way = [10 - k for k in range(10)] + [-k / 5 for k in range(12)] + list(range(10))
     with PtyRobot(link, rate_hz=100, binary=True) as robot, Side(link) as side:

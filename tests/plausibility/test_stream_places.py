@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterator
 
@@ -11,8 +12,10 @@ from hypothesis import strategies as st
 
 from tacshade_edge.plausibility.stream_places import PRESSES, SAMPLES_LEAST, StreamPlaces
 from tacshade_edge.plausibility.suspicions import SuspicionCode
+from tacshade_edge.plausibility.units import LENGTHS, UnitName
 
 Sample = tuple[tuple[float, float, float], int, float | None]
+STILL = (1.0, 0.0, 0.0, 0.0)
 
 
 def robot(seed: int, size_mm: float, hz: float, travel_mm: float, presses: int) -> Iterator[Sample]:
@@ -56,7 +59,73 @@ def test_no_honest_robot_is_suspected(
 ) -> None:
     places = StreamPlaces(size_mm)
     for place, t_ns, depth_mm in robot(seed, size_mm, hz, travel_mm, 6):
-        places.take(place, t_ns, depth_mm)
+        places.take(place, t_ns, depth_mm, STILL)
+        assert places.found is None
+
+
+@pytest.mark.slow
+@settings(max_examples=100, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    SIZES,
+    RATES,
+    st.sampled_from([2.0, 60.0, 800.0]),
+    st.sampled_from([UnitName.CM, UnitName.INCH]),
+)
+def test_places_in_centimetres_or_inches_are_suspected_and_forgiven(
+    seed: int, size_mm: float, hz: float, travel_mm: float, unit: UnitName
+) -> None:
+    places, of = StreamPlaces(size_mm), LENGTHS[unit]
+    stream = list(robot(seed, size_mm, hz, travel_mm, 6))
+    said = set()
+    for (x, y, z), t_ns, depth_mm in stream:
+        places.take((round(x / of, 5), round(y / of, 5), round(z / of, 5)), t_ns, depth_mm, STILL)
+        said.add(places.found and (places.found.code, places.found.impossible))
+    assert said <= {None, (SuspicionCode.PLACES_SHORT, False)}
+    for place, t_ns, depth_mm in robot(seed, size_mm, hz, travel_mm, 6):
+        places.take(place, t_ns + 10**17, depth_mm, STILL)
+    assert places.found is None or longest(stream) < SAMPLES_LEAST
+
+
+def longest(stream: list[Sample]) -> int:
+    """The frames of the longest press."""
+    touched = "".join(".#"[depth_mm is not None] for _, _, depth_mm in stream)
+    return max(map(len, touched.split(".")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [UnitName.CM, UnitName.INCH])
+def test_nearly_all_places_in_centimetres_or_inches_are_named(unit: UnitName) -> None:
+    named, other, of = 0, 0, LENGTHS[unit]
+    for seed in range(60):
+        draw = random.Random(seed)
+        size_mm, hz = draw.uniform(5, 60), draw.choice([15, 30, 60])
+        places = StreamPlaces(size_mm)
+        for (x, y, z), t_ns, depth_mm in robot(seed, size_mm, hz, draw.choice([2, 60, 800]), 6):
+            place = (round(x / of, 5), round(y / of, 5), round(z / of, 5))
+            places.take(place, t_ns, depth_mm, STILL)
+        named += f"are they in {unit}?" in str(places.found)
+        other += places.found is not None and f"are they in {unit}?" not in str(places.found)
+    # A calibration may be off so much that one unit looks like the other.
+    assert named >= 51, named
+    assert other <= 6, other
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**6), SIZES, RATES)
+def test_a_robot_that_turns_its_wrist_is_not_suspected(
+    seed: int, size_mm: float, hz: float
+) -> None:
+    """Its flange moves a tenth as far as the sensor at the end of the finger."""
+    places = StreamPlaces(size_mm)
+    for (x, y, z), t_ns, depth_mm in robot(seed, size_mm, hz, 60.0, 6):
+        turned = z / 100
+        facing = (math.cos(turned / 2), math.sin(turned / 2), 0.0, 0.0)
+        places.take((x, y, z / 10), t_ns, depth_mm, facing)
+        assert places.found is None
+    # Nor one of which nobody knows how it stands.
+    for (x, y, z), t_ns, depth_mm in robot(seed, size_mm, hz, 60.0, 6):
+        places.take((x, y, z / 10), t_ns, depth_mm)
         assert places.found is None
 
 
@@ -80,7 +149,7 @@ def test_no_robot_that_is_pressed_or_grips_is_suspected(
             depth_mm = deep_mm * max(0.0, 1 - abs(k - 20) / 15)
             at = home + depth_mm / stiff
             place = (at + draw.gauss(0, jitter_mm), draw.gauss(0, jitter_mm), 300.0)
-            places.take(place, t_ns, depth_mm or None)
+            places.take(place, t_ns, depth_mm or None, STILL)
             assert places.found is None
 
 
@@ -93,7 +162,8 @@ def test_places_in_metres_are_suspected_and_forgiven(
     places = StreamPlaces(size_mm)
     stream = list(robot(seed, size_mm, hz, travel_mm, 6))
     for (x, y, z), t_ns, depth_mm in stream:
-        places.take((round(x / 1000, 6), round(y / 1000, 6), round(z / 1000, 6)), t_ns, depth_mm)
+        place = (round(x / 1000, 6), round(y / 1000, 6), round(z / 1000, 6))
+        places.take(place, t_ns, depth_mm, STILL)
     touched = "".join(".#"[depth_mm is not None] for _, _, depth_mm in stream)
     long = [press for press in touched.split(".") if len(press) >= SAMPLES_LEAST]
     assert places.found is not None or len(long) < PRESSES
@@ -101,7 +171,7 @@ def test_places_in_metres_are_suspected_and_forgiven(
         assert places.found.code is SuspicionCode.PLACES_SMALL
         assert "are they in m?" in str(places.found)
     for place, t_ns, depth_mm in robot(seed, size_mm, hz, travel_mm, 2):
-        places.take(place, t_ns + 10**17, depth_mm)
+        places.take(place, t_ns + 10**17, depth_mm, STILL)
     assert places.found is None
 
 
