@@ -133,6 +133,15 @@ def assert_accounted(frames: dict[str, int]) -> None:
     assert frames["captured"] == sum(n for key, n in frames.items() if key != "captured")
 
 
+def test_fingers_whose_places_seem_to_be_in_centimetres_are_warned_of(
+    folder: Path, broker: Broker
+) -> None:
+    with run(folder, broker.port, "thumb", "index", thumb="0 0 0 1 0", index="0 3 2 1 0") as hand:
+        said = "sensors.index.hand_T_sensor: found 3.6 mm from thumb, expected sensors"
+        wait_until(lambda: hand.log().count(said) == 2, 20, "each finger's process says so")
+        assert "are they in cm?" in hand.log()
+
+
 def test_one_that_dies_or_cannot_start_touches_no_other(
     folder: Path, broker: Broker, seen: Subscriber
 ) -> None:

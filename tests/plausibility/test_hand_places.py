@@ -55,6 +55,22 @@ def test_hands_in_metres_are_named(hand: tuple[Places, dict[str, float]]) -> Non
         assert "are they in m?" in str(found)
 
 
+@settings(max_examples=200)
+@given(hands(), st.sampled_from([UnitName.CM, UnitName.INCH]))
+def test_hands_in_centimetres_or_inches_are_doubted_where_fingers_are_near(
+    hand: tuple[Places, dict[str, float]], unit: UnitName
+) -> None:
+    places, _ = hand
+    apart = sorted(math.dist(places["f0"], at) for name, at in places.items() if name != "f0")
+    # Of one finger alone, as each daemon knows; it looks at half of its own radius.
+    for size_mm in (apart[0] / 2, apart[0]):
+        name, found = judge_fingers(in_unit(places, LENGTHS[unit]), {"f0": size_mm}) or ("", None)
+        assert found is not None
+        assert name in places
+        assert "in cm?" in str(found) or "in inches?" in str(found) or found.impossible
+        assert judge_fingers({**places, "f0": places["f0"]}, {"f0": size_mm}) is None
+
+
 def test_centimetres_are_doubted_where_the_sensors_sizes_are_known() -> None:
     places = {"thumb": (0.0, 0.0, 5.0), "index": (0.0, 3.0, 6.0)}
     assert judge_fingers(places, {}) is None

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.camera.sources import make_source
+from tacshade_edge.cli.shared.finger_places import finger_doubt
 from tacshade_edge.cli.shared.options import DEFAULT_CONFIG, add_flag, add_option
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
@@ -16,7 +17,6 @@ from tacshade_edge.robot.ports import check_serial
 from tacshade_edge.settings import (
     Document,
     check_source,
-    doubted_finger,
     file_schema,
     load_all,
     load_hand,
@@ -80,12 +80,5 @@ def run(args: argparse.Namespace) -> int:
 def _doubted_fingers(
     documents: Sequence[Document], calibrations: Mapping[str, Calibration]
 ) -> list[str]:
-    sizes_mm = {
-        name: each.geometry.size_mm
-        for name, each in calibrations.items()
-        if each.geometry.skin == "dome"
-    }
-    if (doubted := doubted_finger(documents, sizes_mm)) is None:
-        return []
-    finger, why = doubted
-    return [f"{finger.where('hand_T_sensor')}: warning: {why}"]
+    doubt = finger_doubt(documents, calibrations)
+    return [f"{doubt[0]}: warning: {doubt[1]}"] if doubt else []

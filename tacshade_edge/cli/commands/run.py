@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import argparse
 import gc
+import logging
 import os
 import signal
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tacshade_edge.calibration import loading
 from tacshade_edge.camera.sources import make_source
 from tacshade_edge.cli import EXIT_OK
+from tacshade_edge.cli.shared.finger_places import finger_doubt
 from tacshade_edge.cli.shared.logs import add_verbosity, start_logging
 from tacshade_edge.cli.shared.options import add_config
 from tacshade_edge.daemon.app import App
 from tacshade_edge.daemon.named_files import check_files
 from tacshade_edge.daemon.supervisor import EXIT_STOPPED, Supervisor, name_of
 from tacshade_edge.settings import Document, Hand, load_all, load_hand
+from tacshade_edge.types import Calibration
 
 if TYPE_CHECKING:
     from tacshade_edge.daemon.hand_process import FingerLine
     from tacshade_edge.robot.robot import SharedLine
+
+_log = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,17 +64,26 @@ def run(args: argparse.Namespace) -> int:
             hand_process.run(part, lines)
             return EXIT_STOPPED
         name = part.settings.sensor_id
-        return _run_sensor(part, lines.fingers.get(name), shared_lines.get(name))
+        fingers = documents if hand else ()
+        return _run_sensor(part, lines.fingers.get(name), shared_lines.get(name), fingers)
 
     return Supervisor(documents, hand, lines.end).run(work)
 
 
 def _run_sensor(
-    document: Document, hand_line: FingerLine | None = None, robot_line: SharedLine | None = None
+    document: Document,
+    hand_line: FingerLine | None = None,
+    robot_line: SharedLine | None = None,
+    fingers: Sequence[Document] = (),
 ) -> int:
     check_files(document)
     # A calibration of an older version is made anew and stored, so that it takes this time once.
     calibration = loading.find_calibration(document, store=True)
+    if isinstance(calibration, Calibration):
+        # By this sensor's size alone: the others' calibrations would take their time and memory.
+        known = {document.settings.sensor_id: calibration}
+        if doubt := finger_doubt(fingers, known):
+            _log.warning("%s: %s", *doubt)
     source = make_source(document.settings.source, loading.size_px(calibration))
     app = App(document, source, calibration, hand_line, robot_line)
     stopped: list[int] = []
