@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -26,11 +27,12 @@ from tacshade_edge.lab.simulator.press import Press, distances_mm
 from tacshade_edge.lab.simulator.sensor_model import RIM_HALF_ANGLE_DEG, SensorModel
 from tacshade_edge.lab.simulator.skin import (
     CLAMPED,
+    GRID_STEPS_PER_SIZE,
     Skin,
     Solver,
     at_height,
     direction_to_chart,
-    mass_weight,
+    mass_weight_of,
     net_pull,
     node_directions,
     press_skin,
@@ -86,8 +88,10 @@ def drag_skin(
     presses: Sequence[Press],
     mechanics: DragMechanics | None = None,
     rest: Skin | None = None,
+    steps_per_size: int = GRID_STEPS_PER_SIZE,
 ) -> Skin:
-    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem.
+    """Shape a skin under presses, some of which drag it; `shape` solves their normal problem on a
+    grid of these steps.
 
     `rest`, the unloaded skin after creep, adds its lean and tangential displacement.
     """
@@ -98,12 +102,14 @@ def drag_skin(
     sway_mm = model.sway * np.mean(
         [(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0
     )
-    skin, carried_mm = _swaying(shape, model, presses, mechanics, rest, sway_mm)
+    direction = node_directions(*model.form_mm, steps_per_size).astype(np.float64)
+    swaying = partial(_swaying, shape, model, presses, mechanics, rest, direction)
+    skin, carried_mm = swaying(sway_mm)
     # Skin and dome are springs in series: what the contacts carry along the skin loads the dome. If
     # nothing slid, this is the sway that was assumed.
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
     if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
-        skin, _ = _swaying(shape, model, presses, mechanics, rest, loaded_mm)
+        skin, _ = swaying(loaded_mm)
     return skin
 
 
@@ -113,13 +119,13 @@ def _swaying(
     presses: Sequence[Press],
     mechanics: DragMechanics,
     rest: Skin | None,
+    direction: F64,
     sway_mm: F64,
 ) -> tuple[Skin, F64]:
     """The skin of a dome that leans by `sway_mm`, and the mean further displacement
     by the contacts, (2,) mm.
     """
-    radius_mm, size_mm = model.form_mm
-    direction = node_directions(radius_mm, size_mm).astype(np.float64)
+    radius_mm, _ = model.form_mm
     moved, leaning = _leaning(direction, model, presses, mechanics, sway_mm)
     if rest is not None and rest.leaning_mm is not None:
         leaning = rest.leaning_mm if leaning is None else leaning + rest.leaning_mm
@@ -132,7 +138,7 @@ def _swaying(
         before += rest.origin_mm
     leant = node - before
     contacts = _contacts(skin, direction, leant, model, presses)
-    weight = mass_weight(radius_mm, skin.step_mm, len(node) // 2)[::_EVERY, ::_EVERY]
+    weight = mass_weight_of(skin)[::_EVERY, ::_EVERY]
     carried = mechanics.carry(contacts, weight, skin.step_mm * _EVERY, model)
     at_contacts = carried[:, contacts.rows, contacts.cols].T
     origin = np.asarray(

@@ -58,7 +58,7 @@ class Skin:
     `stuck`, the part of its contact that moves with it; `slid_mm`, how far along x and y it is
     ahead of the skin on average; `surplus`, the part of its drag that it could reverse without
     sticking anywhere. `rest_mm`: part of `pressed_mm` that remains without load, for a skin that
-    creeps.
+    creeps. `steps_per_size`: the skin's size in steps of the grid.
     """
 
     radius_mm: float
@@ -71,6 +71,7 @@ class Skin:
     slid_mm: tuple[tuple[float, float], ...] = ()
     surplus: tuple[float, ...] = ()
     rest_mm: F32 | None = None
+    steps_per_size: int = GRID_STEPS_PER_SIZE
 
     def sample(self, x: F64, y: F64) -> F64:
         """Sample h at chart coordinates in mm (bilinear; 0 outside the grid)."""
@@ -123,11 +124,13 @@ class Skin:
         return moved, np.stack(direction_to_chart(moved, self.radius_mm), axis=-1)
 
 
-def undeformed(radius_mm: float, size_mm: float | None = None) -> Skin:
+def undeformed(
+    radius_mm: float, size_mm: float | None = None, steps_per_size: int = GRID_STEPS_PER_SIZE
+) -> Skin:
     """The undeformed skin; the size is the radius if none is given."""
-    n, step = _grid(size_mm or radius_mm)
+    n, step = _grid(size_mm or radius_mm, steps_per_size)
     zero = np.zeros((2 * n + 1, 2 * n + 1), np.float32)
-    return Skin(radius_mm, step, zero, zero)
+    return Skin(radius_mm, step, zero, zero, steps_per_size=steps_per_size)
 
 
 def press_skin(
@@ -144,15 +147,28 @@ def press_skin(
     Raises ValueError (an object would reach the middle of the sensor, or is not over the skin).
     """
     flat = undeformed(radius_mm, size_mm)
-    free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
     if not presses:
+        free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
         return free.leaning(leaning_mm)
     obstacle = obstacle_of(radius_mm, presses, leaning_mm, size_mm)
+    return skin_over(flat, obstacle, decay_mm, leaning_mm, rest_mm, solver)
+
+
+def skin_over(
+    flat: Skin,
+    obstacle: F32,
+    decay_mm: float,
+    leaning_mm: F32 | None = None,
+    rest_mm: F32 | None = None,
+    solver: Solver = solve,
+) -> Skin:
+    """Find the shape of an undeformed skin over an obstacle on its grid, as `press_skin` does."""
+    free = flat if rest_mm is None else replace(flat, height_mm=rest_mm, rest_mm=rest_mm)
     # What has crept carries no load: only what an object presses beyond it acts on the gel.
     beyond = obstacle if rest_mm is None else np.maximum(obstacle - rest_mm, 0)
     if not beyond.any():
         return flat if rest_mm is None else free.leaning(leaning_mm)
-    weight = mass_weight(radius_mm, flat.step_mm, obstacle.shape[0] // 2)
+    weight = mass_weight_of(flat)
     # Nine decays away, less than exp(-9) of the depth is left: below the tolerance of `solve`.
     window = window_of(beyond > 0, 2 + math.ceil(9 * decay_mm / flat.step_mm))
     pressed = np.zeros_like(obstacle)
@@ -187,9 +203,7 @@ def net_pull(skin: Skin, decay_mm: float) -> F32:
     0 on the border.
     """
     h = skin.pressed_mm if skin.rest_mm is None else skin.pressed_mm - skin.rest_mm
-    mass = mass_weight(skin.radius_mm, skin.step_mm, len(h) // 2) * np.float32(
-        (skin.step_mm / decay_mm) ** 2
-    )
+    mass = mass_weight_of(skin) * np.float32((skin.step_mm / decay_mm) ** 2)
     # With the stencil of the solver, so that free skin, which it left in balance, has no pressure.
     pull = np.zeros_like(h)
     neighbours = h[:-2, 1:-1] + h[2:, 1:-1] + h[1:-1, :-2] + h[1:-1, 2:]
@@ -244,12 +258,20 @@ def height_of(points_mm: F64, radius_mm: float) -> F64:
     return np.asarray(radius_mm - np.linalg.norm(points_mm, axis=1))
 
 
-def _grid(size_mm: float) -> tuple[int, float]:
-    step = size_mm / GRID_STEPS_PER_SIZE
+def _grid(size_mm: float, steps_per_size: int = GRID_STEPS_PER_SIZE) -> tuple[int, float]:
+    step = size_mm / steps_per_size
     return math.ceil(2 * size_mm * math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) / step), step
 
 
-def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
+def mass_weight_of(skin: Skin) -> F32:
+    """The chart's factor on the mass term at a skin's nodes."""
+    n = len(skin.height_mm) // 2
+    return mass_weight(skin.radius_mm, skin.step_mm, n, skin.steps_per_size)
+
+
+def mass_weight(
+    radius_mm: float, step_mm: float, n: int, steps_per_size: int = GRID_STEPS_PER_SIZE
+) -> F32:
     """The chart's factor on the mass term; beyond the rim it is so large
     that the skin cannot move.
     """
@@ -261,17 +283,19 @@ def mass_weight(radius_mm: float, step_mm: float, n: int) -> F32:
 
     # The size comes back from the step, which was divided by it: rounding may have made it less
     # than the radius, and the rim another one.
-    q, size_mm = squares(radius_mm), min(radius_mm, step_mm * GRID_STEPS_PER_SIZE * _ROUNDING)
+    q, size_mm = squares(radius_mm), min(radius_mm, step_mm * steps_per_size * _ROUNDING)
     to_rim = q if size_mm == radius_mm else squares(size_mm)
     clamped = to_rim > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
     return np.asarray(np.where(clamped, CLAMPED, 1 / (1 + q) ** 2), np.float32)
 
 
-def node_directions(radius_mm: float, size_mm: float | None = None) -> F64:
+def node_directions(
+    radius_mm: float, size_mm: float | None = None, steps_per_size: int = GRID_STEPS_PER_SIZE
+) -> F64:
     """Directions of the grid's nodes (`chart_to_direction`), (2n+1, 2n+1, 3),
     in single precision.
     """
-    return _directions(radius_mm, *_grid(size_mm or radius_mm))
+    return _directions(radius_mm, *_grid(size_mm or radius_mm, steps_per_size))
 
 
 def _directions(radius_mm: float, n: int, step_mm: float) -> F64:
