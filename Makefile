@@ -62,6 +62,8 @@ test: .venv/dev.stamp
 	tools/ci/install_debian.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 $(CPU_TORCH) || \
 	  echo "tests: PyTorch could not be installed: those of calibrate --fit will be skipped"
+	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 'mujoco>=4,<5' || \
+	  echo "tests: MuJoCo could not be installed: those of simulate --mjcf will be skipped"
 	$(PY) -m pip install --quiet --disable-pip-version-check --retries 0 'systemd-python>=235' || \
 	  echo "tests: systemd-python could not be built: those of the journal's fields will be skipped"
 	$(PY) -m tools.ci.run_tests $(ONE)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
+    from tacshade_edge.lab.mjcf.mujoco_sensor import MujocoSensor
     from tacshade_edge.library.frames import open, read, read_hand
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.run_messages import decode, decode_file
@@ -33,6 +34,7 @@ __all__ = [
     "HandObjects",
     "HeightMessage",
     "Motion",
+    "MujocoSensor",
     "Pose",
     "Result",
     "Results",
@@ -55,6 +57,7 @@ __all__ = [
 
 _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
+    "lab.mjcf.mujoco_sensor": ("MujocoSensor",),
     "library.frames": ("open", "read", "read_hand"),
     "library.subscriber": ("listen",),
     "library.run_messages": ("decode", "decode_file"),

@@ -92,7 +92,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "print a shell script that completes commands and options"),
     "simulate": (
         "simulate",
-        "write simulated images with ground truth, a calibration set or a touchpad scan",
+        "write simulated images with truth, calibration sets, scans, MuJoCo files",
     ),
 }
 

@@ -1,5 +1,5 @@
 """``tacshade-edge simulate``: writes simulated images with ground truth, a calibration set,
-or a scanned touchpad.
+a scanned touchpad, or the sensor for MuJoCo.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from tacshade_edge.calibration.files import press_table
+from tacshade_edge.cli.shared.mjcf_option import FILES, add_mjcf, check_mjcf, write_mjcf
 from tacshade_edge.cli.shared.options import COUNT, FINITE, NEXT_FIT, add_cluster, add_option, need
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError
@@ -77,15 +78,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, metavar, default, text in (
         ("--depth", "MM", 3.0, "depths in mm (default: 3)"),
         ("--rotation", "DEG", 0.0, "rotations about z in degrees (default: 0)"),
-        ("--twist", "DEG", 0.0, "rotations about z in degrees after contact (default: 0)"),
+        ("--twist", "DEG", 0.0, "turns about z after contact in degrees (default: 0)"),
     ):
         add_option(parser, name, metavar, text, FINITE, nargs="+", default=[default])
     for name, text in (
-        ("--position", "the object's position in mm"),
-        ("--drag", "drag along the skin after contact in mm"),
-        ("--tilt", "tilt about x, then y in degrees"),
+        ("--position", "the object's place in mm"),
+        ("--drag", "drag after contact in mm"),
+        ("--tilt", "tilt about x, y in degrees"),
     ):
-        text += "; may be repeated (default: 0 0)"
+        text += "; repeatable (default: 0 0)"
         parser.add_argument(
             name, type=FINITE, nargs=2, action="append", metavar=("X", "Y"), help=text
         )
@@ -103,9 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         COUNT,
         default=40,
     )
-    add_option(
-        parser, "--pad", "DIR", "folder for presses that cover a touchpad, with poses and truth"
-    )
+    add_option(parser, "--pad", "DIR", "folder for presses on a touchpad, with poses and truth")
     add_option(
         parser,
         "--pad-step",
@@ -118,6 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, "--seed", "N", "seed of the noise and the presses (default: 0)", COUNT, default=0
     )
     _add_sensor_options(parser)
+    add_mjcf(parser)
     add_cluster(parser)
 
 
@@ -143,8 +143,9 @@ def _add_sensor_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    if args.out is None and args.calibration_set is None and args.pad is None:
-        args.parser.error("expected --out DIR, --calibration-set DIR or --pad DIR")
+    if not _folders(args):
+        args.parser.error("expected --out DIR, --calibration-set DIR, --pad DIR or --mjcf DIR")
+    check_mjcf(args)
     if args.cluster is not None and args.pad is None:
         args.parser.error("--cluster requires --pad: the other images take seconds")
     if args.cluster is not None:
@@ -157,6 +158,10 @@ def run(args: argparse.Namespace) -> int:
         for folder in {os.path.realpath(path) for path in _folders(args)}:
             stack.enter_context(owned_folder(Path(folder), "simulate"))
         stack.enter_context(disk_errors(Path()))
+        if args.mjcf is not None:
+            write_mjcf(args.mjcf, model, args)
+            if _folders(args) == [args.mjcf]:
+                return 0
         sensor = SimulatedSensor(model)
         if args.calibration_set is not None:
             _write_calibration_set(sensor, args.calibration_set, args.presses, args.seed)
@@ -186,13 +191,15 @@ def _check(args: argparse.Namespace) -> None:
         (args.calibration_set, ("SENSOR.yaml", "PRESSES.csv", "config.yaml")),
         (args.out, ("scenes.csv",)),
         (args.pad, ("SENSOR.yaml", "POSES.csv", "POSES_NOISY.csv", "PAD.npz")),
+        (args.mjcf, FILES),
     ):
         if folder is not None:
             check_folder(folder, names)
 
 
 def _folders(args: argparse.Namespace) -> list[Path]:
-    return [path for path in (args.calibration_set, args.out, args.pad) if path is not None]
+    paths = (args.calibration_set, args.out, args.pad, args.mjcf)
+    return [path for path in paths if path is not None]
 
 
 def _names(args: argparse.Namespace) -> list[str]:
