@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import select
 import sys
 from typing import Final
 
@@ -14,23 +15,34 @@ STDOUT: Final = "standard output"
 """How errors name it, where others name a file."""
 
 
-class _Named(io.FileIO):
+class _Waiting(io.FileIO):
+    """A stream that waits for room, also where another program (Node.js, ssh) has made it
+    non-blocking.
+    """
+
+    def write(self, data: object, /) -> int:
+        while (written := super().write(data)) is None:  # type: ignore[arg-type]
+            select.select((), (self,), ())
+        return int(written)
+
+
+class _Named(_Waiting):
     """A stream whose errors name it."""
 
     def write(self, data: object, /) -> int:
         try:
-            return int(super().write(data) or 0)  # type: ignore[arg-type]
+            return super().write(data)
         except OSError as error:
             error.filename = STDOUT
             raise
 
 
-class _Forgiving(io.FileIO):
+class _Forgiving(_Waiting):
     """A stream that loses what nobody can take: a log on a full disk must not end hours of work."""
 
     def write(self, data: object, /) -> int:
         with contextlib.suppress(OSError):
-            return int(super().write(data) or 0)  # type: ignore[arg-type]
+            return super().write(data)
         return len(memoryview(data))  # type: ignore[arg-type]
 
 

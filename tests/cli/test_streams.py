@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import pytest
 
 from support.painted_sensor import painted_calibration
+from support.patience import patience, wait_until
 from tacshade_edge.calibration.files import calibration_file
 
 QUICK = {
@@ -79,3 +83,46 @@ def test_a_full_disk_is_named(folder: Path) -> None:
         1,
         "tacshade-edge: standard output: No space left on device\n",
     )
+
+
+PRINTS = """
+import os, sys
+from tacshade_edge.cli.streams import flush_stdout, prepare_streams
+prepare_streams()
+for _ in range(3000):
+    print("x" * 99, file={"1": sys.stdout, "2": sys.stderr}[sys.argv[1]])
+flush_stdout()
+"""
+PRINTED = 3000 * 100
+"""Bytes: several times what a pipe holds."""
+PIPE_FULL = 50_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_stream_that_would_not_block_loses_nothing_and_costs_nothing(number: int) -> None:
+    """As Node.js and ssh leave a pipe or a terminal that they share."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETFL, fcntl.fcntl(writing, fcntl.F_GETFL) | os.O_NONBLOCK)
+    command = ["bash", "-c", f'exec "$0" -c "$1" {number} {number}>&{writing}']
+    with (
+        open(reading, "rb") as stream,
+        subprocess.Popen([*command, sys.executable, PRINTS], pass_fds=[writing]) as child,
+    ):
+        os.close(writing)
+        stat = Path(f"/proc/{child.pid}/stat")
+        try:
+            wait_until(
+                lambda: is_full(reading) and stat.read_text().rpartition(") ")[2][0] == "S",
+                20,
+                "it sleeps until somebody reads",
+            )
+            assert len(stream.read()) == PRINTED
+            assert child.wait(patience(20)) == 0
+        finally:
+            child.kill()
+
+
+def is_full(pipe: int) -> bool:
+    held = int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, b"\0" * 4), sys.byteorder)
+    return held > PIPE_FULL

@@ -219,6 +219,29 @@ def test_closed_standard_streams_are_no_failure(folder: Path, words: str, closed
 
 
 @pytest.mark.broker
+@pytest.mark.parametrize("where", ["2> /dev/full", "> /dev/full 2>&1", "2> >(true)"])
+def test_a_log_that_cannot_be_written_ends_no_daemon(folder: Path, where: str) -> None:
+    """On a full disk or a reader that has ended: a broker that goes and comes is logged each time,
+    and a reload.
+    """
+    with Broker(folder) as broker, Subscriber(broker.port) as seen:
+        path = settings(folder, broker.port)
+        command = ["bash", "-c", f'exec "$0" -m tacshade_edge run -v --config "$1" {where}']
+        with subprocess.Popen([*command, sys.executable, str(path)], cwd=folder) as child:
+            try:
+                seen.wait_for(f"{BASE}/height", 5, 20)
+                broker.stop()
+                broker.start()
+                child.send_signal(signal.SIGHUP)
+                before = len(seen.of(f"{BASE}/height"))
+                seen.wait_for(f"{BASE}/height", before + 5, 20)
+            finally:
+                child.terminate()
+            assert child.wait(patience(20)) == 0
+        wait_until(lambda: state(seen) == "stopped", 5, "stopped")
+
+
+@pytest.mark.broker
 def test_quiet_is_silent_while_all_is_well(folder: Path, start: Start) -> None:
     for path in sorted((folder / "images").iterdir())[3:]:
         path.unlink()
