@@ -19,7 +19,7 @@ from support.bumpy_surface import grid_poses, press_of
 from support.networks import fitted_with
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration import loading
-from tacshade_edge.calibration.files import calibration_file, reference_file
+from tacshade_edge.calibration.files import ageing_file, calibration_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.calibration.files.indenter_file import read_indenters
 from tacshade_edge.calibration.files.labels import read_labels
@@ -27,6 +27,7 @@ from tacshade_edge.calibration.files.press_table import read_presses
 from tacshade_edge.calibration.files.reference_file import LearntLimits, StoredReference, limited
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.inputs import Inputs, KnownPress, StatedSensor
+from tacshade_edge.calibration.reference.ageing import COLUMNS, History
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.images import read_image
 from tacshade_edge.files.meshes import read_stl, stl_bytes
@@ -177,6 +178,7 @@ NAMES = (
     "calibration",
     "fitted calibration",
     "stored reference",
+    "history of references",
     "session",
     "recording",
     "MCAP",
@@ -193,6 +195,7 @@ def kinds() -> dict[str, Kind]:
             "calibration": _calibration(root, plain),
             "fitted calibration": _calibration(root, fitted_with("fast", plain, 0.0)),
             "stored reference": _stored_reference(root, plain),
+            "history of references": _history(root, plain),
             "session": _session(root),
             **_recordings(root, plain),
         }
@@ -226,6 +229,19 @@ def _calibration(root: Path, calibration: Calibration) -> Kind:
     inputs = Inputs(sensor, (FREE, FREE), (KnownPress("press", TOUCHED, 4.0, 1.5, 0.0, 0.0),))
     calibration_file.save(root / "c.npz", calibration, inputs)
     return Kind({"c.npz": (root / "c.npz").read_bytes()}, read_calibration, checked=True)
+
+
+def read_history(folder: Path) -> Any:
+    found = ageing_file.load(folder / "c.ageing.npz", painted_calibration())
+    return found.days.tolist(), found.looks.tolist()
+
+
+def _history(root: Path, calibration: Calibration) -> Kind:
+    looks = np.full((2, len(COLUMNS)), 0.25, np.float32)
+    history = History(np.array([20_000, 20_002], np.int32), looks)
+    ageing_file.save(root / "c.ageing.npz", calibration, history)
+    files = {"c.ageing.npz": (root / "c.ageing.npz").read_bytes()}
+    return Kind(files, read_history, checked=True)
 
 
 def _stored_reference(root: Path, calibration: Calibration) -> Kind:

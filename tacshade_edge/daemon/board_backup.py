@@ -1,5 +1,5 @@
 """One file with what makes a board this one: its settings, and each sensor's calibration,
-reference, taught objects and maps. Files of passwords and certificates are not in it.
+reference, history, taught objects and maps. Files of passwords and certificates are not in it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from tacshade_edge.calibration.files import objects_file, reference_file
+from tacshade_edge.calibration.files import ageing_file, objects_file, reference_file
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, part, write_whole
 from tacshade_edge.quoting import shown
@@ -74,6 +74,7 @@ def _roles(document: Document) -> dict[str, Path]:
         "calibration.npz": calibration,
         "reference.npz": reference_file.path_beside(calibration),
         "objects.npz": objects_file.path_beside(calibration),
+        "ageing.npz": ageing_file.path_beside(calibration),
     }
 
 

@@ -11,12 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from tacshade_edge.calibration.files import reference_file
+from tacshade_edge.calibration.files import ageing_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import with_crc
 from tacshade_edge.calibration.files.objects_file import Known
 from tacshade_edge.calibration.files.reference_file import LearntLimits, StoredReference, limited
 from tacshade_edge.calibration.reference import references
 from tacshade_edge.calibration.reference.references import Distance
+from tacshade_edge.daemon.ageing_watch import AgeingWatch
 from tacshade_edge.daemon.reference_origin import Origin, requested, restored
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.atomic_files import FolderLock
@@ -47,7 +48,8 @@ class References(FrameObserver):
 
     `use` receives each new one; `changed` is called when only its state is new; while a recording
     `held` it, it does not follow. What the `running` reconstructor finds in untouched frames sets
-    the limits of its profile.
+    the limits of its profile. Once a day, `AgeingWatch` compares some with the calibration's
+    reference.
     """
 
     health_key = "reference"
@@ -81,6 +83,7 @@ class References(FrameObserver):
         self._reason: Reason | None = None
         self._distance: Distance | None = None
         self._origin: Origin | Reason
+        self._ageing: AgeingWatch | None = None
         self.calibration: Calibration | Reason
         self.reload(calibrated, path)
 
@@ -90,8 +93,11 @@ class References(FrameObserver):
             self._path = path
         if isinstance(calibrated, Reason):
             self._origin = self.calibration = calibrated
+            self._ageing = None
         else:
             self._own_file()
+            history = ageing_file.path_beside_reference(path)
+            self._ageing = AgeingWatch(calibrated, history)
             self._begin(restored(calibrated, path, self._unowned))
 
     def know(self, known: Known) -> None:
@@ -223,6 +229,8 @@ class References(FrameObserver):
         if isinstance(frames, Reason):
             self._change_state("stopped", frames)
             return
+        if self._ageing is not None:
+            self._ageing.see(frames.images, owned=self._unowned is None)
         followed = references.follow(self._origin.calibration, self.calibration, frames.images)
         # Judging ten images leaves 7 MB of heap, and a sensor at rest looks once a minute.
         return_free_memory()
@@ -300,6 +308,7 @@ class References(FrameObserver):
             "spoiled": self.frames.discarded,
             "rest_frames": self._rest_frames(),
             **_figures(self._distance),
+            "ageing": None if self._ageing is None else self._ageing.health(),
         }
 
     def _rest_frames(self) -> int:

@@ -13,8 +13,10 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 
 from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.files import ageing_file
 from tacshade_edge.camera.sources import make_source
 from tacshade_edge.doctor import Finding, Findings, calibration_check, fault, ok
+from tacshade_edge.doctor.ageing_check import check_ageing
 from tacshade_edge.doctor.board import check_board, check_clock, check_disk
 from tacshade_edge.doctor.broker_check import check_broker, judge_daemon
 from tacshade_edge.doctor.bundle import Seen
@@ -124,7 +126,11 @@ def _check_frames(document: Document, machine: Machine, seen: Seen) -> Findings:
 
 def _check_calibration(document: Document, seen: Seen) -> Findings:
     known, findings = calibration_check.load(document)
-    if known is None or not seen.captured.images:
+    if known is None:
+        return findings
+    history = ageing_file.path_beside(document.settings.calibration)
+    findings = (*findings, *check_ageing(history, known))
+    if not seen.captured.images:
         return findings
     is_camera = document.settings.source.is_camera
     return (*findings, *calibration_check.check_images(known, seen.captured.images, live=is_camera))

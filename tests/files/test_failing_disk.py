@@ -20,11 +20,17 @@ import pytest
 from support.bumpy_surface import grid_poses, press_of
 from support.failing_disk import FailingDisk, Way
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
-from tacshade_edge.calibration.files import calibration_file, objects_file, reference_file
+from tacshade_edge.calibration.files import (
+    ageing_file,
+    calibration_file,
+    objects_file,
+    reference_file,
+)
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow, read_labels
 from tacshade_edge.calibration.files.press_table import Stated
 from tacshade_edge.calibration.files.reference_file import StoredReference
+from tacshade_edge.calibration.reference.ageing import COLUMNS, History
 from tacshade_edge.errors import DeviceError
 from tacshade_edge.recording.exports.table_export import csv_export, ply_export
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
@@ -72,6 +78,17 @@ def read_reference(folder: Path) -> str:
     found = reference_file.load(folder / "cal.reference.npz", CALIBRATION)
     assert found is not None
     return OLD if found.wall_ns == 1 else NEW
+
+
+def write_history(folder: Path, what: str) -> None:
+    looks = np.full((1, len(COLUMNS)), float(what == NEW), np.float32)
+    history = History(np.array([20_000], np.int32), looks)
+    ageing_file.save(folder / "cal.ageing.npz", CALIBRATION, history)
+
+
+def read_history(folder: Path) -> str:
+    found = ageing_file.load(folder / "cal.ageing.npz", CALIBRATION)
+    return NEW if found.looks[0, 0] else OLD
 
 
 def write_objects(folder: Path, what: str) -> None:
@@ -224,6 +241,7 @@ def read_ply(folder: Path) -> str:
 KEPT = {
     "calibration": Kept(write_calibration, read_calibration),
     "reference": Kept(write_reference, read_reference),
+    "history": Kept(write_history, read_history),
     "objects": Kept(write_objects, read_objects),
     "presses": Kept(write_presses, read_captured),
     "labels": Kept(write_labels, read_labelled),

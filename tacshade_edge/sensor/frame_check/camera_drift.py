@@ -236,7 +236,7 @@ def drift(reference: CameraLook, grey: U8) -> Drift:
     """
     if len(reference.points) < _LEAST_POINTS or grey.shape != reference.grey.shape:
         return Drift()
-    before, after = _tracked(reference, grey)
+    before, after = tracked(reference, grey)
     if len(before) < _LEAST_POINTS:
         return Drift()
     matrix, inliers = cv2.estimateAffinePartial2D(
@@ -264,7 +264,7 @@ def drift(reference: CameraLook, grey: U8) -> Drift:
     )
 
 
-def _tracked(reference: CameraLook, grey: U8) -> tuple[F32, F32]:
+def tracked(reference: CameraLook, grey: U8) -> tuple[F32, F32]:
     """The reference's points that are found in an image, there and here, (N, 2) each."""
     start = reference.points + _coarse_shift(reference, grey)
     side = _window_px(reference.pitch_px)

@@ -12,7 +12,7 @@ from tacshade_edge.cli import main
 
 @pytest.fixture
 def board(tmp_path: Path) -> Path:
-    """A board with one sensor: paths that count from the settings, a map, taught objects."""
+    """A board with one sensor: paths that count from the settings, a map, objects, a history."""
     folder = tmp_path / "board"
     (folder / "maps" / "pad-1").mkdir(parents=True)
     (folder / "config.yaml").write_text(
@@ -20,6 +20,7 @@ def board(tmp_path: Path) -> Path:
     )
     (folder / "cal.npz").write_bytes(b"calibration")
     (folder / "cal.objects.npz").write_bytes(b"objects")
+    (folder / "cal.ageing.npz").write_bytes(b"ageing")
     (folder / "maps" / "pad-1" / "map.ply").write_bytes(b"map")
     return folder
 
@@ -42,13 +43,13 @@ def test_another_board_gets_all_of_it(
     board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = backed_up(board)
-    assert "4 files; passwords and certificates are not in it" in capsys.readouterr().out
+    assert "5 files; passwords and certificates are not in it" in capsys.readouterr().out
     other = tmp_path / "other"
     (other / "maps").mkdir(parents=True)
     (other / "config.yaml").write_text("sensor_id: new\n")
     words = ["backup", "--restore", str(out), "--config", str(other / "config.yaml")]
     assert main(words) == 0
-    assert "4 files restored; next: sudo systemctl restart" in capsys.readouterr().out
+    assert "5 files restored; next: sudo systemctl restart" in capsys.readouterr().out
     assert contents(other) == contents(board) | {"config.yaml.replaced": b"sensor_id: new\n"}
     assert main(words) == 0
     assert capsys.readouterr().out.startswith("0 files restored")

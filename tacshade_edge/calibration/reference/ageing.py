@@ -1,0 +1,186 @@
+"""What ages on a sensor, how far, and until when: judged from how it looked at rest on many days.
+
+What has changed counts, not how fast: a season's warmth comes and goes, and never goes as far as
+the amount from which on a wear is named. How fast it grows only says when the limit is reached.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, fields
+from datetime import date
+from typing import Final, Literal
+
+import numpy as np
+
+from tacshade_edge.calibration.reference.appearance import Appearance
+from tacshade_edge.types import F32, F64, I32, frozen
+
+DAYS_MAX: Final = 730
+"""Days that a history keeps: the latest."""
+DAY_MAX: Final = 2_900_000
+"""A clock beyond the year 9900 is wrong, and the dates of forecasts would have no name."""
+COLUMNS: Final = tuple(each.name for each in fields(Appearance))
+Kind = Literal["light", "markers", "pins", "gel"]
+KINDS: Final[tuple[Kind, ...]] = ("light", "markers", "pins", "gel")
+LIMITS: Final[Mapping[Kind, float]] = {"light": 0.5, "markers": 0.4, "pins": 0.03, "gel": 0.2}
+"""The amount of each wear up to which errors stay about within a quarter above a new sensor's, with
+the calibration's own reference. Light and white cost no accuracy until frames are refused soon
+after their limits.
+"""
+UNITS: Final[Mapping[Kind, str]] = {
+    "light": "of the light",
+    "markers": "of the white",
+    "pins": "of the disc",
+    "gel": "mm",
+}
+NAMED: Final[Mapping[Kind, float]] = {"light": 0.15, "markers": 0.15, "pins": 0.01, "gel": 0.12}
+"""The amount of each from which on it is named: more than a season and the days of a sound sensor
+bring."""
+RECENT: Final = 14
+"""Looks whose median counts: one may show an object that rests on the skin, or a cold lamp."""
+# If pins, which no lamp reaches, have lost this part of what the markers have, the light has gone.
+_LIGHT_PART = 0.5
+_TREND_DAYS = 60
+# Deviations by which pairs of days must agree on a growth (Kendall 1938).
+_SURE = 3.0
+_YEARS_MAX = 10
+_DAYS_PER_YEAR = 365
+_FIRST_DAY = date(1970, 1, 1).toordinal()
+
+
+@frozen
+class History:
+    """How a sensor looked at rest: `days` since 1970, int32 (N,), increasing, and the values of
+    `Appearance` on each, float32 (N, `COLUMNS`).
+    """
+
+    days: I32
+    looks: F32
+
+    @classmethod
+    def empty(cls) -> History:
+        """A history of no day."""
+        return cls(np.zeros(0, np.int32), np.zeros((0, len(COLUMNS)), np.float32))
+
+    @property
+    def last_day(self) -> int | None:
+        """The latest day; None in an empty history."""
+        return int(self.days[-1]) if len(self.days) else None
+
+    def with_day(self, day: int, look: Appearance) -> History:
+        """A history with one more day, which is later than all of it, without the oldest beyond
+        `DAYS_MAX`.
+        """
+        row = np.array([astuple(look)], np.float32)
+        days = np.append(self.days, np.int32(day))[-DAYS_MAX:]
+        return History(days, np.concatenate((self.looks, row))[-DAYS_MAX:])
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """How far one kind of wear has come, in its `UNITS`, and the day since 1970 on which it is
+    expected to reach its limit; None if it does not grow, or not within ten years.
+    """
+
+    kind: Kind
+    amount: float
+    per_year: float | None
+    limit_day: int | None
+
+    @property
+    def named(self) -> bool:
+        """Whether it is worth a word."""
+        return self.amount >= NAMED[self.kind]
+
+    @property
+    def beyond(self) -> bool:
+        """Whether errors are expected to be larger than stated."""
+        return self.amount >= LIMITS[self.kind]
+
+
+def judge(history: History) -> tuple[Wear, ...]:
+    """Each kind of wear; none before a history has `RECENT` days."""
+    if len(history.days) < RECENT:
+        return ()
+    amounts = _amounts(history.looks)
+    return tuple(_wear(kind, history.days, amounts[kind]) for kind in KINDS)
+
+
+def words(wear: Wear) -> str:
+    """How far a wear has come, and until when its limit is expected to hold, for a person."""
+    return f"{_how_far(wear)}; {_until(wear)}"
+
+
+def _until(wear: Wear) -> str:
+    if wear.beyond:
+        return "expect larger errors than the calibration stated"
+    if wear.limit_day is None:
+        return "it does not grow"
+    return f"errors are expected to stay as stated until {date_of(wear.limit_day)}"
+
+
+def date_of(day: int) -> str:
+    """The date of a day since 1970, as YYYY-MM-DD."""
+    return date.fromordinal(_FIRST_DAY + day).isoformat()
+
+
+def _how_far(wear: Wear) -> str:
+    amount, limit = (shown(wear.kind, value) for value in (wear.amount, LIMITS[wear.kind]))
+    match wear.kind:
+        case "light":
+            return f"the light has lost {amount} on its darkest side, of {limit} that it may"
+        case "markers":
+            return f"the markers have lost {amount} of their white, of {limit} that they may"
+        case "pins":
+            return f"{amount} of the pattern is another one, of {limit} that may be"
+        case "gel":
+            return f"the tip of the skin has sunk or swollen by {amount}, of {limit} that it may"
+
+
+def shown(kind: Kind, amount: float) -> str:
+    """An amount with its unit."""
+    return f"{amount:.2f} mm" if kind == "gel" else f"{100 * amount:.0f} %"
+
+
+def _amounts(looks: F32) -> dict[Kind, F64]:
+    """The amount of each wear on each day, (N,)."""
+    table = dict(zip(COLUMNS, looks.astype(np.float64).T, strict=True))
+    # On the side that is darkest now: one lamp of a ring dims one side.
+    slope = np.hypot(table["slope_row"], table["slope_col"])
+    lost = 1 - np.exp(np.minimum(table["white"] - slope, 0))
+    white, dark = (float(np.median(table[name][-RECENT:])) for name in ("white", "dark"))
+    is_light = dark <= _LIGHT_PART * min(white, 0.0)
+    none = np.zeros(len(looks))
+    return {
+        "light": lost if is_light else none,
+        "markers": none if is_light else lost,
+        "pins": table["bent_part"],
+        "gel": np.abs(table["sunk_mm"]),
+    }
+
+
+def _wear(kind: Kind, days: I32, amounts: F64) -> Wear:
+    now = float(np.median(amounts[-RECENT:]))
+    per_day = _growth(days, amounts)
+    if per_day is None:
+        return Wear(kind, now, None, None)
+    left = max((LIMITS[kind] - now) / per_day, 0.0)
+    within = left <= _YEARS_MAX * _DAYS_PER_YEAR
+    day = int(days[-1]) + math.ceil(left) if within else None
+    return Wear(kind, now, per_day * _DAYS_PER_YEAR, day)
+
+
+def _growth(days: I32, amounts: F64) -> float | None:
+    """The median growth per day between all pairs of the latest days (Theil 1950, Sen 1968); None
+    if chance could make as many of them grow.
+    """
+    recent = days > days[-1] - _TREND_DAYS
+    t, y = days[recent].astype(np.float64), amounts[recent]
+    first, second = np.triu_indices(len(t), 1)
+    steps = y[second] - y[first]
+    n = len(t)
+    deviation = math.sqrt(n * (n - 1) * (2 * n + 5) / 18)
+    slope = float(np.median(steps / (t[second] - t[first]))) if len(steps) else 0.0
+    return slope if slope > 0 and np.sign(steps).sum() > _SURE * deviation else None
