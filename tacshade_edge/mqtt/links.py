@@ -42,6 +42,9 @@ def password_in(path: str | Path, where: str) -> str:
         raise ConfigError(
             f"{where}: {path}: found bytes that are not UTF-8, expected a password in UTF-8"
         ) from error
+    if "\0" in password:
+        # UTF-16 without its mark, or a file whose content a power cut took: no broker accepts it.
+        raise ConfigError(f"{where}: {path}: found zero bytes, expected a password in UTF-8")
     if not password:
         raise ConfigError(f"{where}: {path}: found an empty first line, expected the password")
     return password

@@ -15,6 +15,7 @@ from tacshade_edge.calibration.files.labels import read_labels
 from tacshade_edge.calibration.files.press_table import press_rows
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.cli.commands.dashboard import read_token
+from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.meshes import read_stl
 from tacshade_edge.mqtt.links import password_in
 from tacshade_edge.recording.frame_table import read_poses, read_table
@@ -75,3 +76,17 @@ def test_a_mark_is_no_part_of_the_text(tmp_path: Path, name: str, ends: str) -> 
         ):
             path.write_bytes(mark + marked.encode(encoding))
             assert read(path) == plain
+
+
+@pytest.mark.parametrize("name", sorted(READERS.keys() - NOT_UTF_16))
+def test_what_no_mark_announces_and_a_power_cuts_zero_bytes_are_refused(
+    tmp_path: Path, name: str
+) -> None:
+    text, read = READERS[name]
+    text = text.replace("é", "e")
+    path = tmp_path / "file"
+    for data in (text.encode("utf-16-le"), text.encode("utf-16-be"), bytes(len(text))):
+        path.write_bytes(data)
+        with pytest.raises(ConfigError) as refusal:
+            read(path)
+        assert "\n" not in str(refusal.value)
