@@ -28,8 +28,9 @@ class ByteQueue(Generic[T]):
         """
         with self._ready:
             # An item alone always fits: a frame larger than the queue must not be refused for
-            # ever.
-            if self._items and self._bytes + size_bytes > self._limit + reserve_bytes:
+            # ever. So does one without a size: beside such a frame, an end must find room.
+            full = self._bytes + size_bytes > self._limit + reserve_bytes
+            if self._items and size_bytes and full:
                 return False
             self._items.append((item, size_bytes))
             self._bytes += size_bytes

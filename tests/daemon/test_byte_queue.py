@@ -37,4 +37,5 @@ def test_an_item_of_any_size_fits_an_empty_queue_and_a_reserve_is_for_its_kind()
     assert queue.put("huge", 99)
     assert not queue.put("a", 1)
     assert queue.put("event", 1, reserve_bytes=90)
-    assert [queue.take(0), queue.take(0), queue.take(0)] == ["huge", "event", None]
+    assert queue.put("end", 0)
+    assert [queue.take(0) for _ in range(4)] == ["huge", "event", "end", None]

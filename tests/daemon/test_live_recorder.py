@@ -168,6 +168,29 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
     assert live.events()[0]["kind"] == "still there"
 
 
+def test_a_frame_larger_than_the_queue_does_not_keep_a_recording_from_its_end(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, writing = threading.Event(), threading.Event()
+    real = RecordingWriter.add
+
+    def slow(self: RecordingWriter, frame: Frame, png: bytes) -> bool:
+        writing.set()
+        assert go_on.wait(patience(20))
+        return real(self, frame, png)
+
+    monkeypatch.setattr(RecordingWriter, "add", slow)
+    live.begin()
+    live.give(*frames(1))
+    assert writing.wait(patience(20))
+    large = np.zeros((4500, 4500), np.uint8)
+    assert large.nbytes > record_thread.QUEUE_BYTES + live_recorder.EVENTS_RESERVE_BYTES
+    live.give(Frame(1, 1001, 6, large))
+    live.recorder.end(STOPPED)
+    go_on.set()
+    assert live.ended()["frames"] == 2
+
+
 def test_another_reference_ends_it_another_profile_does_not(
     live: Live, calibration: Calibration
 ) -> None:
