@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from tacshade_edge.robot.robot import SharedLine
     from tacshade_edge.sensor.reconstruct import Reconstructor
 
-
 _log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 1.0
@@ -318,6 +317,7 @@ class App:
             return max(0.0, began_s + due_s - time.monotonic())
 
         notify_stopping()
+        self._events.close()
         stops = [(THREADS_STOPPED_S, self._pipeline.stop), (FRAMES_SENT_S, self._give_up_frames)]
         stops += [(observer.stop_s, observer.stop) for observer in self._observers]
         # By their deadlines, which follow the way of a frame: first what makes frames and requests,

@@ -6,7 +6,7 @@ from queue import SimpleQueue
 from typing import Literal
 
 from tacshade_edge.daemon.active_profile import Step
-from tacshade_edge.pipeline.observer import Reply, SourceState
+from tacshade_edge.pipeline.observer import Reply, SourceState, refuse_waiting
 from tacshade_edge.pipeline.pipeline import Crash
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.wire.requests import Request
@@ -24,6 +24,7 @@ class Events:
         # instructions of the main thread, which may hold the lock of any other.
         self._queue: SimpleQueue[Event] = SimpleQueue()
         self.put = self._queue.put
+        self._closed = False
 
     def request(self, request: Request, reply: Reply) -> None:
         """Put a request, or refuse it if too many events wait: clients may send any number."""
@@ -34,6 +35,13 @@ class Events:
             reply(Reason(ReasonCode.BUSY, text))
         else:
             self._queue.put((request, reply))
+            if self._closed:  # nobody takes it any more
+                refuse_waiting(self._queue)
+
+    def close(self) -> None:
+        """Refuse the requests that wait, and from now on those that come."""
+        self._closed = True
+        refuse_waiting(self._queue)
 
     def get(self, timeout_s: float) -> Event:
         """Wait for an event. Raises queue.Empty."""

@@ -24,7 +24,13 @@ from tacshade_edge.daemon.pre_roll import EVENT_BYTES
 from tacshade_edge.daemon.record_thread import RecordThread
 from tacshade_edge.errors import DeviceError, TacshadeError
 from tacshade_edge.files.atomic_files import free_name
-from tacshade_edge.pipeline.observer import RECORDED_S, FrameObserver, Reply, SourceState
+from tacshade_edge.pipeline.observer import (
+    RECORDED_S,
+    STOPPING,
+    FrameObserver,
+    Reply,
+    SourceState,
+)
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.recording.recorder import RecordingWriter
 from tacshade_edge.recording.recording_content import CALIBRATION_NAME, Event
@@ -87,6 +93,10 @@ class LiveRecorder(FrameObserver):
         self.end(DAEMON_STOPPED)
         self._thread.stop(timeout_s)
         self.poll()
+        # A disk that hangs: it stays as it is, readable up to the last frame that was reported.
+        if (reply := self._stop_reply) is not None:
+            self._stop_reply = None
+            reply(STOPPING)
 
     def handle(
         self,
@@ -166,14 +176,14 @@ class LiveRecorder(FrameObserver):
         recording = OngoingRecording(recorder, settings_yaml, calibration, about, seconds)
         # First the queue: `grab` puts frames as soon as it sees the recording, and what the thread
         # takes before the recording itself is dropped without a count.
-        self._queue.put(recording, 0, reserve_bytes=EVENTS_RESERVE_BYTES)
+        self._queue.put(recording, 0)
         self._recording = recording
 
     def end(self, ending: Reason) -> None:
         """End the present recording, if there is one; `poll` publishes when it is written."""
         if (recording := self._recording) is not None and recording.ending is None:
             recording.ending = ending
-            self._queue.put("end", 0, reserve_bytes=EVENTS_RESERVE_BYTES)
+            self._queue.put("end", 0)
 
     @property
     def tap(self) -> Callable[[Frame], None] | None:

@@ -22,7 +22,13 @@ from tacshade_edge.daemon.reference_origin import Origin, requested, restored
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.files.atomic_files import FolderLock
 from tacshade_edge.free_memory import return_free_memory
-from tacshade_edge.pipeline.observer import STITCHED_S, FrameObserver, FrameResult, Reply
+from tacshade_edge.pipeline.observer import (
+    STITCHED_S,
+    STOPPING,
+    FrameObserver,
+    FrameResult,
+    Reply,
+)
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
 from tacshade_edge.sensor.contact.untouched import (
     Measured,
@@ -89,7 +95,7 @@ class References(FrameObserver):
 
     def reload(self, calibrated: Calibration | Reason, path: Path) -> None:
         if path != self._path:
-            self.stop()
+            self._release_file()
             self._path = path
         if isinstance(calibrated, Reason):
             self._origin = self.calibration = calibrated
@@ -169,7 +175,15 @@ class References(FrameObserver):
                 self._learn(batch)
 
     def stop(self, timeout_s: float = 0) -> None:
-        """Let another daemon have the stored reference."""
+        """Refuse a request that waits for frames, and let another daemon have the stored
+        reference.
+        """
+        if self._request is not None:
+            reply, self._request = self._request[0], None
+            reply(STOPPING)
+        self._release_file()
+
+    def _release_file(self) -> None:
         if self._lock is not None:
             self._lock.release()
             self._lock = None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, Literal
 
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -25,6 +27,16 @@ Reply = Callable[[Any], None]
 """``reply(outcome)``, called once, from any thread:
 a request's result or dictionary, or the reason for none.
 """
+STOPPING = Reason(ReasonCode.DAEMON_STOPPED, "the daemon is stopping")
+"""The answer to whatever waits or comes during a stop."""
+
+
+def refuse_waiting(jobs: SimpleQueue[Any]) -> None:
+    """Answer `STOPPING` to each (job, reply) in a queue that nobody takes from any more."""
+    with contextlib.suppress(Empty):
+        while True:
+            if isinstance(job := jobs.get_nowait(), tuple):
+                job[1](STOPPING)
 
 
 @dataclass(frozen=True, slots=True)

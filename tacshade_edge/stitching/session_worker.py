@@ -24,11 +24,13 @@ from tacshade_edge.files.atomic_files import FolderLock, disk_errors
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.pipeline.observer import (
     STITCHED_S,
+    STOPPING,
     WAITING_MAX,
     FrameObserver,
     FrameResult,
     FrameWaiters,
     Reply,
+    refuse_waiting,
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
@@ -111,7 +113,7 @@ class Sessions(FrameObserver):
         self._map_folder = ""
         self._deferred = False
         self._state = SessionState()  # replaced in the thread; the others read it
-        self._ending = False  # the map is being made
+        self._ending = self._stopping = False  # making the map; refusing commands
         self._published = b""
         # A daemon thread: the end of a session, or a disk that hangs, must not keep the process.
         self._thread = threading.Thread(target=self._run, name="stitch", daemon=True)
@@ -123,8 +125,11 @@ class Sessions(FrameObserver):
         """Add what waits; an open session, or one whose end takes longer,
         stays open on the disk.
         """
+        self._stopping = True
         self._jobs.put("stop")
         self._thread.join(timeout_s)
+        self._adds.refuse_all(STOPPING)
+        refuse_waiting(self._jobs)
         self.poll()
 
     def need(self) -> Need:
@@ -171,7 +176,9 @@ class Sessions(FrameObserver):
         """
         if action == "ADD":
             reply = partial(self._count_refusal, reply)
-        if action == "ADD" and self._state.name:
+        if self._stopping:
+            reply(STOPPING)
+        elif action == "ADD" and self._state.name:
             # The press is the first frame taken after the command: the robot stands still by
             # then.
             self._adds.put(time.monotonic_ns(), reply)

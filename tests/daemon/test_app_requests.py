@@ -20,6 +20,7 @@ from support.patience import wait_until
 from support.running_app import BASE, Live, assert_accounted, paced, switched
 from tacshade_edge.calibration.files import calibration_file, reference_file
 from tacshade_edge.daemon import active_profile
+from tacshade_edge.pipeline.ledger import FrameLedger
 from tacshade_edge.sensor.contact import untouched
 from tacshade_edge.sensor.profiles import LADDER, PROFILES
 from tacshade_edge.wire import binary
@@ -56,6 +57,39 @@ def test_requests(live: Live, pictures: Any, scripted: Any) -> None:
         heights = live.seen.wait_for(f"{BASE}/height", len(live.payloads("height")) + 1, 5)
         assert binary.decode(heights[-1]).calibration_crc32 == crc
         assert live.ask("reference")["reason_code"] == "frame_in_contact"
+
+
+def test_requests_that_come_or_wait_while_it_stops_are_refused(
+    live: Live, pictures: Any, scripted: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asks: dict[str, dict[str, Any]] = {
+        "status": {},
+        "profile": {"profile": "fast"},
+        "reference": {},
+    }
+    asks["record"] = {"action": "start", "seconds": 9}
+    close = FrameLedger.close
+
+    def asked(ledger: FrameLedger, timeout_s: float) -> int:
+        link = running.app.link
+        before = link.counters()["requests"]
+        for verb, body in asks.items():
+            live.seen.publish(f"{BASE}/req/{verb}", json.dumps(body).encode())
+        wait_until(lambda: link.counters()["requests"] == before + len(asks), 1, "heard")
+        return close(ledger, timeout_s)
+
+    monkeypatch.setattr(FrameLedger, "close", asked)
+    with live.run(scripted(paced(pictures.free, period_s=0.2))) as running:
+        wait_until(lambda: live.payloads("health"), 10, "health")
+        live.seen.publish(f"{BASE}/req/reference", b'{"transaction": "waits"}')
+        live.ask("status")  # after it
+    live.until_state("stopped")
+    for verb in asks:
+        answer = live.last(f"res/{verb}")
+        assert answer["reason_code"] == "daemon_stopped", answer
+    answers = list(map(json.loads, live.payloads("res/reference")))
+    assert [each["reason_code"] for each in answers] == ["daemon_stopped"] * 2
+    assert [each["transaction"] for each in answers] == [None, "waits"]
 
 
 def test_a_requested_reference_outlives_a_restart_and_a_reload(

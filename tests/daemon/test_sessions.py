@@ -475,3 +475,12 @@ def test_a_press_that_waited_until_its_session_had_ended_is_refused(
     go_on.set()
     assert isinstance(wait(ended), SessionEnded)
     assert wait(added) == Reason(ReasonCode.NO_SESSION, "the session has ended")
+
+
+def test_what_waits_at_a_stop_is_refused(robot: Robot, ball: Reconstruction) -> None:
+    robot.show(ball)
+    robot.ask("BEGIN")
+    added = robot.begin("ADD")  # no frame comes
+    robot.end()
+    late = robot.begin("STATUS")
+    assert [code(wait(each)) for each in (added, late)] == [ReasonCode.DAEMON_STOPPED] * 2
