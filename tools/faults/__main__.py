@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""The fault bench: faults in real parts, kills at random moments, and a long run.
+"""The fault bench: faults in real parts, kills at random moments and at every phase
+of a start and a stop, and a long run.
 
 ::
 
     .venv/bin/python -m tools.faults table [--only WORD...]
     .venv/bin/python -m tools.faults kills [--count 200] [--seed 0]
+    .venv/bin/python -m tools.faults ends [--only WORD...]
     .venv/bin/python -m tools.faults soak [--seconds 3600]
 
 Each command prints a table and any problems, and exits with 1 if there are problems.
@@ -17,7 +19,7 @@ import argparse
 import signal
 import sys
 
-from tools.faults import kills, soak, table
+from tools.faults import ends, kills, soak, table
 
 
 def main() -> int:
@@ -31,6 +33,8 @@ def main() -> int:
     one = commands.add_parser("kills", help="kill -9 at random moments")
     one.add_argument("--count", type=int, default=200, metavar="N")
     one.add_argument("--seed", type=int, default=0, metavar="N")
+    one = commands.add_parser("ends", help="signals at every phase of a start and a stop")
+    one.add_argument("--only", nargs="+", metavar="WORD", help="phases whose names have one")
     one = commands.add_parser("soak", help="a long run in which something is always wrong")
     one.add_argument("--seconds", type=float, default=3600.0)
     args = parser.parse_args()
@@ -43,6 +47,8 @@ def main() -> int:
         )
     elif args.command == "kills":
         text, problems = kills.run(args.count, args.seed)
+    elif args.command == "ends":
+        text, problems = ends.run(list(ends.chosen(args.only)))
     else:
         text, problems = soak.run(args.seconds)
     print(text)

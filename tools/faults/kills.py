@@ -50,8 +50,7 @@ class Killed:
     def one(self, draw: random.Random, longest_s: float) -> None:
         """Start a daemon, let it work for at most `longest_s`, kill it, and check its files."""
         cell = self._cell
-        cell.mark()
-        self._heard = 0
+        self.forget()
         cell.start(streams=False)
         cell.until(lambda: cell.last("contact"), 30, "the first frame")
         crc32 = cell.last("info")["geometry"]["calibration_crc32"]
@@ -65,13 +64,22 @@ class Killed:
             doing = draw.choice(WORK)
             self._work(doing, draw)
             pause(min(draw.uniform(0, STEP_S), max(0.0, kill_s - time.monotonic())))
-            self._hear()
+            self.hear()
         if cell.daemon.poll() is not None or "Traceback" in cell.new_log():
             self.problems.append(f"ended by itself: {cell.new_log()[-500:]}")
         self.doing[doing] += 1
         cell.kill()
+        self.look()
+
+    def forget(self) -> None:
+        """Skip the log and the messages so far."""
+        self._cell.mark()
+        self._heard = 0
+
+    def look(self) -> None:
+        """Check the files of a daemon that has ended against what was acknowledged."""
         pause(0.2)  # the broker still delivers the daemon's last messages
-        self._hear()
+        self.hear()
         for name, presses in list(self._presses.items()):
             self._look_at_session(name, presses)
         for folder, frames in self._frames.items():
@@ -106,7 +114,7 @@ class Killed:
         }
         self._cell.seen.publish(f"{BASE}/req/{verb}", json.dumps(asked).encode())
 
-    def _hear(self) -> None:
+    def hear(self) -> None:
         """Take the acknowledgements since the last call."""
         messages = list(self._cell.seen.messages)
         for message in messages[self._heard :]:
