@@ -13,7 +13,8 @@ from pathlib import Path, PurePosixPath
 
 from tacshade_edge.calibration.files import ageing_file, objects_file, reference_file
 from tacshade_edge.errors import ConfigError, DecodeError
-from tacshade_edge.files.atomic_files import disk_errors, part, write_whole
+from tacshade_edge.files.atomic_files import disk_errors, part, sync, write_whole
+from tacshade_edge.files.targets import one_at_a_time
 from tacshade_edge.quoting import shown
 from tacshade_edge.settings import Document, load_all
 
@@ -28,13 +29,15 @@ _MAPS = "maps"
 def back_up(config: Path, out: Path) -> list[str]:
     """Write the backup of the board that these settings describe; return the names in it.
 
-    Raises ConfigError (the settings, or `out` exists) and DeviceError.
+    Raises ConfigError (the settings, or `out` exists) and DeviceError (IN_USE while another backup
+    writes it).
     """
     documents = load_all(config)
-    if out.exists():
-        raise ConfigError(f"{out}: already exists, expected a new name")
     names = []
-    with disk_errors(out):
+    # Two would write the same incomplete file, and both results would be damaged.
+    with one_at_a_time(out, "backup", "writing"), disk_errors(out):
+        if out.exists():
+            raise ConfigError(f"{out}: already exists, expected a new name")
         partial = part(out)
         try:
             with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
@@ -43,7 +46,9 @@ def back_up(config: Path, out: Path) -> list[str]:
                 for name, path in ((SETTINGS, config), *_files(documents)):
                     file.write(path, name)
                     names.append(name)
+            sync(partial)
             os.replace(partial, out)
+            sync(out.parent)
         finally:
             partial.unlink(missing_ok=True)
     return names
@@ -56,10 +61,11 @@ def restore(backup: Path, config: Path) -> list[Path]:
     Raises ConfigError (settings), DecodeError (no backup, or damaged) and DeviceError; before
     anything is written, the whole backup has been read.
     """
-    with _opened(backup) as file:
+    with _opened(backup) as file, contextlib.ExitStack() as stack:
         text = file.read(SETTINGS)
         with disk_errors(config):
             config.parent.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(one_at_a_time(config, "backup", "restoring"))
         documents = _documents(text, config)
         targets = [(name, _target(backup, name, documents)) for name in file.namelist()[1:]]
         written = [path for name, path in targets if _put(file, name, path)]

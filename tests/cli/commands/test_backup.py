@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from support.patience import patience
 from tacshade_edge.cli import main
+from tacshade_edge.files.targets import one_at_a_time
 
 
 @pytest.fixture
@@ -53,6 +59,38 @@ def test_another_board_gets_all_of_it(
     assert contents(other) == contents(board) | {"config.yaml.replaced": b"sensor_id: new\n"}
     assert main(words) == 0
     assert capsys.readouterr().out.startswith("0 files restored")
+
+
+@pytest.mark.slow
+def test_of_two_backups_at_once_one_is_whole_and_the_other_is_told(board: Path) -> None:
+    (board / "maps" / "pad-1" / "large").write_bytes(os.urandom(32 << 20))
+    out = board.parent / "board.zip"
+    words = ["backup", str(out), "--config", str(board / "config.yaml")]
+    both = [
+        subprocess.Popen([sys.executable, "-m", "tacshade_edge", *words], stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    said = [each.communicate(timeout=patience(60))[1].decode() for each in both]
+    codes = [each.returncode for each in both]
+    assert sorted(codes)[0] == 0
+    assert sorted(codes)[1] in (1, 78), said
+    refusal = said[codes.index(max(codes))]
+    assert re.search(r"another backup \(pid \d+\) is writing|already exists", refusal)
+    with zipfile.ZipFile(out) as file:
+        assert file.testzip() is None
+    assert sorted(path.name for path in out.parent.iterdir()) == ["board", "board.zip"]
+
+
+@pytest.mark.parametrize("restore", [(), ("--restore",)])
+def test_a_second_one_is_told_who_is_there(
+    board: Path, restore: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, out = board / "config.yaml", backed_up(board)
+    with one_at_a_time(config if restore else out, "backup", "busy with"):
+        before = contents(board)
+        assert main(["backup", *restore, str(out), "--config", str(config)]) == 1
+        assert contents(board) == before
+    assert f"another backup (pid {os.getpid()}) is busy with" in capsys.readouterr().err
 
 
 def test_a_backup_is_never_overwritten(board: Path, capsys: pytest.CaptureFixture[str]) -> None:
