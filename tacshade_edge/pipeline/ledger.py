@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -13,6 +13,9 @@ FrameOutcome = Literal["published", "superseded", "without_contact", "unasked", 
 
 # Percentiles cover this many of the latest frames: some seconds at camera rates.
 WINDOW_FRAMES = 512
+# The first frames open the camera and warm up. They would stay in the window for half a minute, or
+# for minutes at few frames per second.
+START_S = 5.0
 
 
 @dataclass(slots=True)
@@ -93,16 +96,29 @@ class FrameLedger:
 
 
 class Timings:
-    """Latest durations by name, in ms; thread-safe."""
+    """Latest durations by name, in ms, without those of the start once it is over; thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._lock = threading.Lock()
         self._ms: dict[str, deque[float]] = {}
+        self._clock_s = clock_s
+        self._start_ends_s: float | None = None
+        self._of_start: set[str] = set()
 
     def add(self, ms: Mapping[str, float]) -> None:
         with self._lock:
+            now_s = self._clock_s()
+            if self._start_ends_s is None:
+                self._start_ends_s = now_s + START_S
             for name, value in ms.items():
-                self._ms.setdefault(name, deque(maxlen=WINDOW_FRAMES)).append(value)
+                values = self._ms.setdefault(name, deque(maxlen=WINDOW_FRAMES))
+                if now_s <= self._start_ends_s:
+                    self._of_start.add(name)
+                elif name in self._of_start:
+                    # Only now that there is another, so that a name never lacks its value.
+                    self._of_start.remove(name)
+                    values.clear()
+                values.append(value)
 
     def percentiles(self) -> dict[str, dict[str, float]]:
         """``{name: {"p50": ms, "p99": ms}}`` by nearest rank over the latest frames."""

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tacshade_edge.pipeline.ledger import WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
+from tacshade_edge.pipeline.ledger import START_S, WINDOW_FRAMES, FrameLedger, FrameOutcome, Timings
 
 OUTCOMES: tuple[FrameOutcome, ...] = get_args(FrameOutcome)
 
@@ -72,3 +72,20 @@ def test_percentiles_are_nearest_rank_over_the_latest_frames() -> None:
     for _ in range(WINDOW_FRAMES):
         timings.add({"b": 7.0})
     assert timings.percentiles()["b"] == {"p50": 7.0, "p99": 7.0}
+
+
+def test_the_start_is_forgotten_once_it_is_over() -> None:
+    now_s = 100.0
+    timings = Timings(lambda: now_s)
+    for name in ("a", "b"):
+        timings.add({name: 900.0})
+    now_s += START_S
+    timings.add({"a": 800.0})
+    assert timings.percentiles()["a"] == {"p50": 800.0, "p99": 900.0}
+    now_s += 0.1
+    timings.add({"a": 5.0})
+    timings.add({"a": 6.0})
+    assert timings.percentiles() == {
+        "a": {"p50": 5.0, "p99": 6.0},
+        "b": {"p50": 900.0, "p99": 900.0},
+    }, "b has no other value yet"

@@ -1,6 +1,6 @@
 // The numbers of a contact and the sensor's rate, in tiles of constant width. An unknown number leaves its tile empty.
 
-import { counted, number } from "./panels.js";
+import { counted, dotOf, number } from "./panels.js";
 
 export const UNMEASURED = "touched, depth unknown";
 const NAMES_MAX = 4;
@@ -29,12 +29,15 @@ export function withName(named, event) {
 /** The tile appears with the first name: who teaches nothing needs none. */
 export function showNames(named) {
   if (named.length) document.getElementById("named").hidden = false;
-  put("n-name", named.map(({ name, probability }) => `${name} ${number(100 * probability)} %`).join(", "));
+  const words = named.map(({ name, probability }) => `${name} ${number(100 * probability)} %`);
+  put("n-name", words.join(", "));
+  // Its points have the same colour, in the picture in space.
+  document.getElementById("n-name").replaceChildren(...named.flatMap(({ label }, n) => [n ? ", " : "", dotOf(label), words[n]]));
 }
 
 /**
- * The rate and latencies that last: not those of a start, which opens the camera and warms up. Percentiles cover the
- * latest 512 frames, so that the slowest of the start stay among them for longer.
+ * The rate and latencies that last: not those of a start, which opens the camera and warms up. The
+ * slowest of a hundred need some seconds more.
  */
 export function lasting({ delivered_fps, latency_ms, uptime_s } = {}) {
   const started = !(uptime_s < STARTED_S), settled = !(uptime_s < SETTLED_S);
