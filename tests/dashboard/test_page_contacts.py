@@ -122,6 +122,8 @@ def test_taught_objects_are_named_until_the_contact_ends(
         return found.text if found.is_displayed() else ""
 
     wait_until(lambda: named() == "nut_m8 97 %, key 50 %", 15, "the names")
+    colours = "[...document.querySelectorAll('#n-name .dot')].map((dot) => dot.style.background)"
+    assert js(page, colours) == ["rgb(230, 159, 0)", "rgb(255, 95, 162)"], "those of the points"
 
     def unnamed() -> bool:
         sensor.publish("contact", codec.encode_json({"t_ns": 2, "seq": 2, "contact": 0}))

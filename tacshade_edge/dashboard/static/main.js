@@ -2,7 +2,6 @@
 
 import { PARTS_MAX, SENSORS_MAX, checkContact, checkDecoded, checkEvent, checkInfo, checkObject, checkPart, checkTouch, cut, objectsIn, read } from "./bounds.js";
 import { DepthChart } from "./chart.js";
-import { objectColour } from "./colours.js";
 import { Compare } from "./compare.js";
 import { freshness } from "./freshness.js";
 import { HeightView } from "./heightmap.js";
@@ -12,7 +11,7 @@ import { showContacts, withEvent } from "./lived.js";
 import { MapView } from "./mapview.js";
 import { drawArrows } from "./marks.js";
 import { CONTACT, INVALID, TOUCHED, contactOfMap, keep, keepContact, nextMap, partOfMap, touchOfMap } from "./newest.js";
-import { counted, element, levelOf, number, showState } from "./panels.js";
+import { counted, dotOf, element, levelOf, number, showState } from "./panels.js";
 import { SkinView } from "./skin3d.js";
 import { commandPlayback, isPaused, isPlayed, showAgain, updatePlayback } from "./playback.js";
 import { commandRecordings, updateRecording } from "./record.js";
@@ -362,11 +361,7 @@ function updateObjects(cloud) {
   const { shown, more } = objectsIn(cloud?.labels ?? []), key = `${shown} ${more}`;
   if (key === $("objects").dataset.key) return;
   $("objects").dataset.key = key;
-  const spans = shown.map((label) => {
-    const dot = element("i", { className: "dot" });
-    dot.style.background = objectColour(label);
-    return element("span", {}, dot, `object ${label} `);
-  });
+  const spans = shown.map((label) => element("span", {}, dotOf(label), `object ${label} `));
   if (more > 0) spans.push(element("span", {}, `and ${more} more`));
   $("objects").replaceChildren(...spans);
 }

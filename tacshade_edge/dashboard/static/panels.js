@@ -1,5 +1,7 @@
 // Words and numbers. Text from the broker enters the page as text, never as HTML.
 
+import { objectColour } from "./colours.js";
+
 const LEVELS = { online: "good", streaming: "good", playing: "good", paused: "warn", open: "good", degraded: "warn", away: "warn", unusable: "warn", stopped: "off", ended: "off", idle: "off", offline: "bad" };
 
 export const levelOf = (state) => LEVELS[state] ?? "warn";
@@ -8,6 +10,13 @@ export function element(name, properties = {}, ...children) {
   const made = Object.assign(document.createElement(name), properties);
   made.append(...children);
   return made;
+}
+
+/** A dot in the colour of an object's points. */
+export function dotOf(label) {
+  const dot = element("i", { className: "dot" });
+  dot.style.background = objectColour(label);
+  return dot;
 }
 
 /** `1 frame`, `2 frames`, `2 presses`. */

@@ -51,7 +51,8 @@ export class SkinView {
     this.controls.addEventListener("start", () => { this.untouched = false; });
     this.skin = new THREE.Mesh(
       new THREE.BufferGeometry(),
-      new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2 }),
+      // Shallow skin is nearly black: without a sheen, its form would not show.
+      new THREE.MeshPhongMaterial({ specular: 0x202020, shininess: 10, vertexColors: true, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2 }),
     );
     this.cloud = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true }));
     for (const [shape, count] of [[this.skin.geometry, VERTICES], [this.cloud.geometry, POINTS_MAX]]) {
