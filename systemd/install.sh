@@ -9,6 +9,8 @@ dest=${DESTDIR:-}
 app=/opt/tacshade-edge
 lib=${LIB:-/usr/local/lib}
 rules=${LIB:-/etc}/udev/rules.d
+# So that sudo finds the command; a distribution's package has its own in /usr/bin.
+command=/usr/local/bin/tacshade-edge
 # source and target
 files=(
   "tacshade-edge.service $lib/systemd/system/tacshade-edge.service"
@@ -32,6 +34,10 @@ install_all() {
     install -D -m 644 "$here/$from" "$dest$to"
   done
   live && { "$here/environment.sh" "$app" || exit 1; }
+  if [ -z "${LIB:-}" ] && ! [ -e "$dest$command" ]; then
+    install -d "$dest${command%/*}"
+    ln -sfn "$app/bin/tacshade-edge" "$dest$command"
+  fi
   install -d -m 750 "$dest/etc/tacshade-edge"
   for line in "${edited[@]}"; do
     read -r from to <<<"$line"
@@ -47,6 +53,7 @@ install_all() {
 uninstall_all() {
   live && { systemctl disable --quiet --now tacshade-edge.service tacshade-dashboard.service 2>/dev/null || true; }
   for line in "${files[@]}"; do rm -f "$dest${line#* }"; done
+  if [ "$(readlink "$dest$command")" = "$app/bin/tacshade-edge" ]; then rm "$dest$command"; fi
   for line in "${edited[@]}"; do
     read -r from to <<<"$line"
     [ -e "$dest$to" ] || continue

@@ -40,6 +40,7 @@ OLDER, NEWER = Path("/payload/older.deb"), Path("/payload/newer.deb")
 # What neither installation may leave behind.
 PLACES = (
     "/opt",
+    "/usr/local/bin",
     "/usr/local/lib/systemd",
     "/usr/local/lib/sysusers.d",
     "/etc/udev/rules.d",

@@ -101,15 +101,20 @@ def test_install_twice_and_uninstall(tmp_path: Path) -> None:
         "etc/mosquitto/tacshade.acl",
     }
     load(tmp_path / "etc/tacshade-edge/config.yaml")
+    # Where sudo looks.
+    command = tmp_path / "usr/local/bin/tacshade-edge"
+    assert command.readlink() == Path("/opt/tacshade-edge/bin/tacshade-edge")
     assert install(tmp_path) == ""
     assert tree(tmp_path) == first
     assert install(tmp_path, "--uninstall") == ""
     assert tree(tmp_path) == {}
+    assert not command.is_symlink()
     assert install(tmp_path, "--uninstall") == ""
 
 
 def test_a_packages_files_lie_where_those_of_packages_do(tmp_path: Path) -> None:
     install(tmp_path, LIB="/usr/lib")
+    assert not (tmp_path / "usr/local").exists()
     assert {name for name in tree(tmp_path) if not name.startswith("etc/")} == {
         "usr/lib/systemd/system/tacshade-edge.service",
         "usr/lib/systemd/system/tacshade-dashboard.service",
@@ -118,6 +123,15 @@ def test_a_packages_files_lie_where_those_of_packages_do(tmp_path: Path) -> None
     }
     assert install(tmp_path, "--uninstall", LIB="/usr/lib") == ""
     assert tree(tmp_path) == {}
+
+
+def test_a_command_of_another_installation_is_kept(tmp_path: Path) -> None:
+    command = tmp_path / "usr/local/bin/tacshade-edge"
+    command.parent.mkdir(parents=True)
+    command.write_text("of pipx\n")
+    install(tmp_path)
+    install(tmp_path, "--uninstall")
+    assert command.read_text() == "of pipx\n"
 
 
 def test_what_a_person_edited_is_kept(tmp_path: Path) -> None:
