@@ -91,6 +91,7 @@ class RecordingWriter:
             self._lines[TABLE_NAME] = part(self.folder / TABLE_NAME).open("wb", buffering=0)
             self._line(TABLE_NAME, ",".join((*HEADER, *MORE)))
             sync(self.folder)
+            sync(self.folder.parent)
 
     def add(self, frame: Frame, png: bytes) -> bool:
         """Write a frame with its image `png`; write nothing and return False if the disk is down

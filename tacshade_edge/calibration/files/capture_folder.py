@@ -109,6 +109,8 @@ class CaptureFolder:
         with disk_errors(self.path):
             for path in partial.iterdir():
                 sync(path)
+            # Its own names, too: a folder that is renamed keeps no others.
+            sync(partial)
             self.forget_rest()
             partial.rename(self.rest)
             sync(self.path)
@@ -118,6 +120,7 @@ class CaptureFolder:
         number = len(self.touch_pictures()) + 1
         with disk_errors(self.path):
             self.touches.mkdir(exist_ok=True)
+            sync(self.path)
             write_whole(self.touches / f"touch_{number:02d}.png", png(image))
 
     def forget_rest(self) -> None:
