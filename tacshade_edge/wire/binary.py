@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Required, TypedDict, Unpack
 
 import numpy as np
@@ -25,9 +26,9 @@ HEAD = wire_format.HEAD
 HEADER_BYTES = wire_format.HEADER_BYTES
 PAYLOAD_BYTES_MAX = wire_format.PAYLOAD_BYTES_MAX
 decode = wire_format.decode
-_LIMIT_MM = np.float32(wire_format.STEPS_MAX * wire_format.SCALE_MM)
-_PER_MM = np.float32(1 / wire_format.SCALE_MM)
+_LIMIT_MM = wire_format.STEPS_MAX * wire_format.SCALE_MM
 _OUTSIDE = np.float32(wire_format.OUTSIDE)
+_NO_GRID = (0.0, 0.0, 0.0, wire_format.SCALE_MM)
 
 
 class Taken(TypedDict, total=False):
@@ -42,24 +43,38 @@ class Taken(TypedDict, total=False):
 
 def encode_grid(kind: int, result: Reconstruction, values_mm: F32, **taken: Unpack[Taken]) -> bytes:
     """The payload of one of `wire_format.GRIDS`: the values of each cell of a reconstruction,
-    (rows, cols) or (rows, cols, values), rounded to the nearest 0.001 mm and clamped to ±32.767 mm,
-    infinities too; NaN becomes -32768.
+    (rows, cols) or (rows, cols, values), rounded to the nearest multiple of `scale_of` them and
+    clamped to ±32767 of it, infinities too; NaN becomes -32768.
 
     Raises ValueError for a grid of more than 65535 rows or columns.
     """
     rows, cols = values_mm.shape[:2]
     if max(rows, cols) > wire_format.SIDE_MAX:
         raise ValueError(f"height grid of {rows} x {cols}; the wire holds at most 65535 x 65535")
+    scale_mm = scale_of(values_mm)
+    most_mm = np.float32(wire_format.STEPS_MAX * scale_mm)
     # Before the multiplication, which could overflow.
-    steps = values_mm.clip(-_LIMIT_MM, _LIMIT_MM)
+    steps = values_mm.clip(-most_mm, most_mm)
     # In one array, since this happens to each frame of each sensor.
-    np.multiply(steps, _PER_MM, out=steps)
+    np.multiply(steps, np.float32(1 / scale_mm), out=steps)
     np.rint(steps, out=steps)
     # fmax replaces NaN, maximum would keep it.
     np.fmax(steps, _OUTSIDE, out=steps)
     height = result.height
-    grid = height.row0, height.col0, height.step_px
+    grid = height.row0, height.col0, height.step_px, scale_mm
     return _pack(kind, result, taken, (rows, cols), grid, steps.astype("<i2").tobytes())
+
+
+def scale_of(values_mm: F32) -> float:
+    """The `scale_mm` of values: 0.001, or its least multiple by which the greatest value fits, as
+    on skins deeper than 32.767 mm. What fits by none is no depth.
+    """
+    # fmax and fmin pass over NaN.
+    high, low = (each.reduce(values_mm, axis=None, initial=0.0) for each in (np.fmax, np.fmin))
+    times = max(float(high), -float(low)) / _LIMIT_MM
+    if not 1 < times <= wire_format.SCALE_MAX_MM / wire_format.SCALE_MM:
+        return wire_format.SCALE_MM
+    return math.ceil(times) * wire_format.SCALE_MM
 
 
 def encode_height(result: Reconstruction, **taken: Unpack[Taken]) -> bytes:
@@ -113,12 +128,12 @@ def encode_map_cloud(
 
 def _cloud(
     points_mm: F32, labels: U16
-) -> tuple[tuple[int, int], tuple[float, float, float], bytes]:
+) -> tuple[tuple[int, int], tuple[float, float, float, float], bytes]:
     data = (
         points_mm.astype("<f4", copy=False).tobytes() + labels.astype("<u2", copy=False).tobytes()
     )
     # The header has no field for a number of points: its two sides hold the halves.
-    return (len(labels) & wire_format.SIDE_MAX, len(labels) >> 16), (0.0, 0.0, 0.0), data
+    return (len(labels) & wire_format.SIDE_MAX, len(labels) >> 16), _NO_GRID, data
 
 
 def _pack(
@@ -126,7 +141,7 @@ def _pack(
     result: Reconstruction,
     taken: Taken,
     shape: tuple[int, int],
-    grid: tuple[float, float, float],
+    grid: tuple[float, float, float, float],
     data: bytes,
 ) -> bytes:
     fields = Header(

@@ -35,8 +35,9 @@ _STEP_PX_LEAST: Final = 1e-6
 # Robots round their quaternions, and the header holds float32; whatever is further off is damaged
 # or something else.
 _UNIT_OFF_MAX: Final = 1e-2
-# 1 µm: finer than any sensor's noise, and ±32.767 mm is deeper than any skin.
+# 1 µm: finer than any sensor's noise, and ±32.767 mm is deeper than any skin of a hand.
 SCALE_MM: Final = 0.001
+SCALE_MAX_MM: Final = 1.0
 STEPS_MAX: Final = 32767
 SIDE_MAX: Final = 0xFFFF
 _U32: Final = 0xFFFFFFFF
@@ -147,12 +148,12 @@ message; and the number of values in a cell.
 def pack(
     kind: int,
     shape: tuple[int, int],
-    grid: tuple[float, float, float],
+    grid: tuple[float, float, float, float],
     data: bytes,
     fields: Header,
 ) -> bytes:
-    """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud),
-    data, and the fields of every kind.
+    """The payload of a kind with these rows and columns, row0, col0 and step_px (0 for a cloud) and
+    scale_mm, data, and the fields of every kind.
 
     `seq`, `calibration_crc32` and `pose_error_us` need not fit in 32 bits.
     """
@@ -178,7 +179,6 @@ def pack(
         fields.wall_ns,
         *shape,
         *grid,
-        SCALE_MM,
         error_us,
         *pose,
         len(data),
@@ -289,7 +289,7 @@ def _check_grid(
     if not (abs(row0) <= _PX_MAX and abs(col0) <= _PX_MAX and _STEP_PX_LEAST <= step_px <= _PX_MAX):
         found = f"row0 {row0:g}, col0 {col0:g}, step_px {step_px:g}"
         _refuse("36", found, "a row, a column and a step within an image")
-    if not 0 < scale_mm <= 1:
+    if not 0 < scale_mm <= SCALE_MAX_MM:
         _refuse("48", f"scale_mm {scale_mm:g}", "a number above 0 and at most 1")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import replace
 from typing import Any
@@ -147,7 +148,7 @@ def test_damaged_vector_is_refused_with_what_and_where(damaged: dict[str, Any]) 
     npst.arrays(
         np.float32,
         npst.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12),
-        elements=FLOATS,
+        elements=FLOATS | st.floats(-4e4, 4e4, width=32),
     ),
     FLAGS,
 )
@@ -157,10 +158,14 @@ def test_any_height_is_rounded_or_clamped_and_never_wrapped(
     result = reconstruction(height, **flags)
     message = binary.decode(binary.encode_height(result, calibration_crc32=9))
     assert isinstance(message, binary.HeightMessage)
-    expected = np.clip(height.astype(np.float64), -32.767, 32.767)
+    high_mm = float(np.nanmax(np.abs(height), initial=0.0, where=~np.isnan(height)))
+    # What fits by a scale is whole; beyond 32.767 m nothing is a depth.
+    most_mm = 32.767 if high_mm > 32767 else max(high_mm, 32.767)
+    expected = np.clip(height.astype(np.float64), -most_mm, most_mm)
     np.testing.assert_array_equal(np.isnan(message.height_mm), np.isnan(height))
     inside = ~np.isnan(height)
-    assert np.all(np.abs(message.height_mm[inside] - expected[inside]) <= 0.000504)
+    step_mm = 0.001 * max(1, math.ceil(most_mm / 32.767 - 1e-9))
+    assert np.all(np.abs(message.height_mm[inside] - expected[inside]) <= 0.505 * step_mm)
     assert message.invalid is not flags["valid"]
     assert message.degraded is (flags["degraded"] is not None)
     assert (message.contact, message.saturated) == (flags["contact"], flags["saturated"])

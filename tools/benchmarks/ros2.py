@@ -33,7 +33,7 @@ import tacshade_edge.wire.topics  # noqa: F401
 from support.mqtt_rig import free_port
 from support.patience import wait_until
 from tacshade_edge.wire import wire_format
-from tacshade_edge.wire.wire_format import CLOUD, HEIGHT, Header, pack
+from tacshade_edge.wire.wire_format import CLOUD, HEIGHT, SCALE_MM, Header, pack
 from tools.testbed.daemon_rig import memory_mb
 
 LIMIT_MS, LIMIT_MB = 0.3, 10.0
@@ -63,14 +63,14 @@ def header(seq: int) -> Header:
 def height(seq: int, side: int) -> bytes:
     """A map of random heights."""
     steps = np.random.default_rng(seq).integers(-100, 2000, side * side, np.int16)
-    return pack(HEIGHT, (side, side), (0.0, 0.0, 4.0), steps.tobytes(), header(seq))
+    return pack(HEIGHT, (side, side), (0.0, 0.0, 4.0, SCALE_MM), steps.tobytes(), header(seq))
 
 
 def cloud(seq: int, points: int) -> bytes:
     """A cloud of random points of one object."""
     places = np.random.default_rng(seq).normal(0, 10, (points, 3)).astype(np.float32)
     data = places.tobytes() + np.ones(points, np.uint16).tobytes()
-    return pack(CLOUD, (points, 0), (0.0, 0.0, 0.0), data, header(seq))
+    return pack(CLOUD, (points, 0), (0.0, 0.0, 0.0, SCALE_MM), data, header(seq))
 
 
 def listen(port: int, over: Event) -> None:
