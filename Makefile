@@ -13,7 +13,7 @@
 # make test-arm  a board's processor, emulated: both Pythons, instructions a frame; over an hour, root
 # make test-container  the image, built on a base of Debian's packages; root
 # make house   the rooms of the package: sizes, and who imports whom
-# make faults  the table of docs/results/faults.md; 4 minutes
+# make faults  the tables of docs/results/faults.md: faults of a running daemon, and the suite's trials; 6 minutes
 PYTHON ?= python3
 PY := .venv/bin/python
 # A version for processors alone: what else calls itself PyTorch brings 3 GB for GPUs. `--retries 0`: the index may be out of reach.
@@ -110,7 +110,7 @@ bill: .venv/dev.stamp
 	$(PY) -m tools.release.bill --out $(DIST)
 
 faults: .venv/dev.stamp
-	$(PY) -m tools.faults table
+	$(PY) -m tools.faults table; table=$$?; $(PY) -m tools.faults trials && exit $$table
 
 format: .venv/dev.stamp
 	.venv/bin/ruff format .

@@ -46,6 +46,11 @@ def held(pid: int, folder: Path) -> Counter[str]:
     return found
 
 
+@pytest.fixture(autouse=True)
+def stated(record_property: Callable[[str, object], None]) -> None:
+    record_property("tried", FIRST + TIMES)
+
+
 def as_before(what: Callable[[], Counter[str]], again: Again) -> None:
     """Do it a few times, and then many more, after which there is no more of anything."""
     for k in range(FIRST):

@@ -207,7 +207,7 @@ PAGES = {
     ),
     "growth": Page({"": "tools.benchmarks.growth"}),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),
-    "faults": Page({"": "tools.faults table"}, code=SERVED),
+    "faults": Page({"": "tools.faults table", "The test suite's trials": "tools.faults trials"}),
 }
 OLDER = (
     "objects",

@@ -7,7 +7,7 @@ import contextlib
 import io
 import json
 import tarfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,7 @@ from tacshade_edge.dashboard.recording_tar import tar_of
 pytestmark = pytest.mark.slow
 RUN = "/recordings/run.tar"
 LARGE_BYTES = 48 << 20
+CLIENTS = 100
 """More than the kernel's buffers of both sides hold."""
 
 
@@ -99,14 +100,15 @@ async def test_only_a_stall_ends_a_download_and_the_log_names_it(
 
 
 async def test_a_hundred_come_and_go_beside_one_that_reads_bytes_and_one_that_reads_all(
-    large: Path,
+    large: Path, record_property: Callable[[str, object], None]
 ) -> None:
+    record_property("tried", CLIENTS)
     descriptors = Path("/proc/self/fd")
     before = len(list(descriptors.iterdir()))
     got, whole = 0, tar_of(large / "run").size_bytes
     async with running(recordings=large) as port, http(port, RUN) as slow:
         async with http(port, RUN) as fast:
-            for k in range(100):
+            for k in range(CLIENTS):
                 async with page(port) if k % 2 else http(port, RUN) as gone:
                     await gone.read(k % 3)
                 assert len(await slow.read(1)) == 1

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -141,7 +142,9 @@ def test_an_owner_that_was_killed_keeps_nobody_away(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_of_many_at_once_one_is_in(tmp_path: Path) -> None:
+def test_of_many_at_once_one_is_in(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """Each adds 1 to a file between its reading and its writing; none may be lost."""
     text = """
 import sys
@@ -162,3 +165,4 @@ while done < 100:
     made = [subprocess.Popen([sys.executable, "-c", text, str(path)]) for _ in range(4)]
     assert [each.wait() for each in made] == [0] * 4
     assert path.read_text() == "400"
+    record_property("tried", 400)

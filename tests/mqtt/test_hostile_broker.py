@@ -4,6 +4,8 @@ daemon, bridges, requests, library and the client's wheel.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import tacshade_client as tc
 
@@ -25,6 +27,18 @@ BELOW_TACSHADE = 4
 """Of the bad topics: passed over, as messages that come after their topic was unsubscribed."""
 
 
+OUT_OF_ORDER = (
+    publish(f"{BASE}/req/status".encode(), b"{}"),
+    packet(0x90, b"\0\x63\0\0"),  # SUBACK of what nobody asked
+    packet(0x40, b"\0\x63"),  # PUBACK, PUBREC, PUBREL, PUBCOMP of what nobody sent
+    packet(0x50, b"\0\x63"),
+    packet(0x62, b"\0\x63"),
+    packet(0x70, b"\0\x63"),
+    packet(0xB0, b"\0\x63\0\0"),  # UNSUBACK
+    packet(0xD0, b""),  # PINGRESP without a PINGREQ
+)
+
+
 def address(port: int) -> BrokerAddress:
     return broker_at("127.0.0.1", port)
 
@@ -42,11 +56,12 @@ def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes
 
 @pytest.mark.slow
 def test_packets_that_end_at_every_byte_are_none_and_the_next_connection_is_heard(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, record_property: Callable[[str, object], None]
 ) -> None:
     monkeypatch.setattr(client, "_RECONNECT_DELAY_S", 0.05)
-    after = publish(f"{BASE}/req/status".encode(), b"{}")
+    after = b"".join(OUT_OF_ORDER)
     cuts = range(1, 5 + 6 + len(after))  # CONNACK, and SUBACK of one topic
+    record_property("tried", len(cuts))
     with HostileBroker(after, cuts=cuts) as broker:
         rig = Rig(broker.port).connect()
         wait_until(lambda: broker.connects > len(cuts), 60, "a connection that is not cut")
@@ -59,20 +74,11 @@ def test_packets_that_end_at_every_byte_are_none_and_the_next_connection_is_hear
     assert rig.link.counters()["bad_requests"] == 0
 
 
-OUT_OF_ORDER = (
-    publish(f"{BASE}/req/status".encode(), b"{}"),
-    packet(0x90, b"\0\x63\0\0"),  # SUBACK of what nobody asked
-    packet(0x40, b"\0\x63"),  # PUBACK, PUBREC, PUBREL, PUBCOMP of what nobody sent
-    packet(0x50, b"\0\x63"),
-    packet(0x62, b"\0\x63"),
-    packet(0x70, b"\0\x63"),
-    packet(0xB0, b"\0\x63\0\0"),  # UNSUBACK
-    packet(0xD0, b""),  # PINGRESP without a PINGREQ
-)
-
-
 @pytest.mark.parametrize("packets", [OUT_OF_ORDER, OUT_OF_ORDER[::-1]], ids=["", "reversed"])
-def test_packets_out_of_their_order_end_no_connection(packets: tuple[bytes, ...]) -> None:
+def test_packets_out_of_their_order_end_no_connection(
+    packets: tuple[bytes, ...], record_property: Callable[[str, object], None]
+) -> None:
+    record_property("tried", len(packets))
     after = publish(f"{BASE}/req/status".encode(), b'{"transaction": 2}')
     with HostileBroker(after, early=b"".join(packets)) as broker:
         rig = Rig(broker.port).connect()

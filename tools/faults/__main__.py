@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""The fault bench: faults in real parts, kills at random moments and at every phase
-of a start and a stop, and a long run.
+"""The fault bench: faults in real parts, the test suite's trials, kills at random moments and at
+every phase of a start and a stop, and a long run.
 
 ::
 
     .venv/bin/python -m tools.faults table [--only WORD...]
+    .venv/bin/python -m tools.faults trials [--only WORD...]
     .venv/bin/python -m tools.faults kills [--count 200] [--seed 0]
     .venv/bin/python -m tools.faults ends [--only WORD...]
     .venv/bin/python -m tools.faults soak [--seconds 3600]
@@ -19,7 +20,7 @@ import argparse
 import signal
 import sys
 
-from tools.faults import ends, kills, soak, table
+from tools.faults import ends, kills, soak, table, trials
 
 
 def main() -> int:
@@ -29,6 +30,10 @@ def main() -> int:
     one = commands.add_parser("table", help="each fault once, in real parts")
     one.add_argument(
         "--only", nargs="+", metavar="WORD", help="faults whose names have one of these"
+    )
+    one = commands.add_parser("trials", help="the test suite's trials, counted")
+    one.add_argument(
+        "--only", nargs="+", metavar="WORD", help="trials whose names have one of these"
     )
     one = commands.add_parser("kills", help="kill -9 at random moments")
     one.add_argument("--count", type=int, default=200, metavar="N")
@@ -45,6 +50,8 @@ def main() -> int:
             table.table([row for row, _ in rows]),
             [problem for _, problem in rows if problem],
         )
+    elif args.command == "trials":
+        text, problems = trials.run(args.only)
     elif args.command == "kills":
         text, problems = kills.run(args.count, args.seed)
     elif args.command == "ends":

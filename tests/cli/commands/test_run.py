@@ -127,7 +127,10 @@ def cpu_s(pid: int) -> float:
     return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
-def test_a_stop_at_any_moment_of_a_start_is_a_stop(folder: Path, start: Start) -> None:
+def test_a_stop_at_any_moment_of_a_start_is_a_stop(
+    folder: Path, start: Start, record_property: Callable[[str, object], None]
+) -> None:
+    record_property("tried", PHASES)
     path = settings(folder, free_port())
     for phase in range(PHASES):
         child, lines = start(path)
