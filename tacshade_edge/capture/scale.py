@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files.tables import NUMBER_MAX
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.types import F64
 
@@ -27,13 +28,15 @@ _READING = re.compile(r"([+-]?) *(\d+(?:[.,]\d+)?|[.,]\d+) *([a-z]+)", re.IGNORE
 
 def parse_reading(line: bytes) -> float | None:
     """The force in N that a line reports, a mass as its weight;
-    None if it has no number with a known unit.
+    None if it has no number with a known unit, or one that no scale shows.
 
     ``ST,GS,+  0.123 kg``, ``-12,5g`` and ``1.2 N`` are readings.
     """
     for sign, digits, unit in _READING.findall(line.decode("ascii", "replace")):
         if (newtons := _NEWTONS.get(unit.lower())) is not None:
-            return (-1 if sign == "-" else 1) * float(digits.replace(",", ".")) * newtons
+            force_n = float(digits.replace(",", ".")) * newtons
+            # What no table takes is no reading of a scale.
+            return (-force_n if sign == "-" else force_n) if force_n <= NUMBER_MAX else None
     return None
 
 

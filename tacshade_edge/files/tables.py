@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.errors import ConfigError
+from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import decoded, read_regular
 
@@ -216,6 +216,13 @@ def number(where: str, column: str, text: str) -> float:
             f"{where}: {column}: found {quoted(text)}, expected a number from -{most} to {most}"
         )
     return value
+
+
+def require_rows(path: Path, count: int) -> None:
+    """Before a table is written: raise DeviceError for more rows than `read_columns` takes."""
+    if count > ROWS_MAX:
+        found = f"found {count} rows, expected at most {ROWS_MAX}"
+        raise DeviceError(f"{path}: {found}; those before are kept, go on in a new folder")
 
 
 def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:

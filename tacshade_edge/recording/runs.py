@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.files.atomic_files import disk_errors, part, sync, write_whole
 from tacshade_edge.reasons import reason_fields
 from tacshade_edge.recording.recording import RecordedFrame
@@ -39,7 +39,9 @@ _ENCODERS = {
 }
 # The header's byte from which it states the payload's length (wire/wire_format.py).
 _PAYLOAD_BYTES_AT = 84
-_SUMMARY_BYTES_MAX = 1 << 28
+_BETWEEN, _AROUND = ",\n", "[\n\n]\n"
+SUMMARY_BYTES_MAX = 1 << 28
+"""Most bytes of a summary that are read, and so written: a quarter of a million frames and more."""
 _OF_OBJECT = (
     "label",
     "centroid_mm",
@@ -68,7 +70,8 @@ class RunWriter:
     def __init__(self, folder: Path, *, calibration_crc32: int) -> None:
         self._folder = folder
         self._crc32 = calibration_crc32
-        self._records: list[dict[str, Any]] = []
+        self._lines: list[str] = []
+        self._bytes = 0
         self._streams: dict[str, BinaryIO] = {}
         self._whole = False
         with disk_errors(folder):
@@ -102,7 +105,15 @@ class RunWriter:
             getattr(frame.pose, key) for key in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
         ]
         about = {"image": recorded.name, "seq": result.seq, "t_ns": result.t_ns}
-        self._records.append({**about, **summary(result), "pose": pose})
+        # As its line: a dict of each frame would take five times the memory.
+        line = json.dumps({**about, **summary(result), "pose": pose})
+        self._bytes += len(line) + len(_BETWEEN)
+        if self._bytes - len(_BETWEEN) + len(_AROUND) > SUMMARY_BYTES_MAX:
+            raise DeviceError(
+                f"{self._folder / SUMMARY}: found more than {SUMMARY_BYTES_MAX >> 20} MiB after "
+                f"{len(self._lines)} frames, expected what --against can read; replay fewer frames"
+            )
+        self._lines.append(line)
 
     def finish(self, timings: Mapping[str, Any]) -> None:
         """Complete the run."""
@@ -112,7 +123,7 @@ class RunWriter:
                 os.fsync(stream.fileno())
                 stream.close()
             # One line per record, for diff and grep.
-            lines = ",\n".join(json.dumps(record) for record in self._records)
+            lines = _BETWEEN.join(self._lines)
             for name in _ENCODERS:
                 part(self._folder / name).replace(self._folder / name)
             # The summary last: with it, the run is whole.
@@ -140,7 +151,7 @@ def read_summary(folder: Path) -> list[dict[str, Any]]:
     """
     path = folder / SUMMARY
     try:
-        records = json.loads(read_regular(path, _SUMMARY_BYTES_MAX))
+        records = json.loads(read_regular(path, SUMMARY_BYTES_MAX))
     except OSError as error:
         raise ConfigError(
             f"{path}: {error.strerror or error}, expected a run written by `replay --out`"

@@ -14,6 +14,7 @@ from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from support.published_sensor import unmeasured
 from tacshade_edge.errors import ConfigError, DecodeError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode
+from tacshade_edge.recording import runs
 from tacshade_edge.recording.recording import RecordedFrame
 from tacshade_edge.recording.runs import (
     CLOUDS,
@@ -90,6 +91,19 @@ def test_a_run_is_the_wire_payloads_and_a_record_per_frame(tmp_path: Path) -> No
     assert isinstance(message, binary.HeightMessage)
     assert touched["depth_max_mm"] == pytest.approx(np.nanmax(message.height_mm), abs=2e-3)
     assert json.loads((folder / "timings.json").read_text()) == {"seconds": 1.0}
+
+
+def test_a_summary_that_nobody_could_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = len(write(tmp_path / "whole", frames=2).joinpath(SUMMARY).read_bytes())
+    monkeypatch.setattr(runs, "SUMMARY_BYTES_MAX", size)
+    assert len(read_summary(write(tmp_path / "as-large", frames=2))) == 2
+    more = begun(tmp_path / "more", frames=2)
+    with pytest.raises(DeviceError, match=r"summary\.json: found more than 0 MiB after 2 frames"):
+        more.add(*results()[2])
+    more.discard()
+    assert not list((tmp_path / "more").iterdir())
 
 
 def test_nothing_of_a_run_shows_before_it_is_whole(tmp_path: Path) -> None:

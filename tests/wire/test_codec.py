@@ -80,6 +80,8 @@ def test_any_bytes_are_an_object_or_refused(payload: bytes) -> None:
         (b"250 mN", 0.25),
         (b"N 12 pcs 30.0 G", 0.03 * 9.80665),
         (b"12.5", None),
+        (b"9" * 250 + b" N", None),
+        (b"-1000.1 kN", None),
         (b"12.5 pcs", None),
         (b"OL kg", None),
         (b"\xff\xfe", None),

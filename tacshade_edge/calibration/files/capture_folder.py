@@ -17,7 +17,7 @@ from tacshade_edge.calibration.files.press_table import (
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, part, sync, write_whole
 from tacshade_edge.files.images import by_number, number_in, png, read_image
-from tacshade_edge.files.tables import csv_bytes
+from tacshade_edge.files.tables import csv_bytes, require_rows
 from tacshade_edge.types import U8
 
 SENSOR, SETTINGS, PRESSES, INDENTERS = "SENSOR.yaml", "config.yaml", "PRESSES.csv", "INDENTERS.yaml"
@@ -151,6 +151,7 @@ class CaptureFolder:
     def add(self, taken: Sequence[TakenPress], image: U8, press: Stated) -> TakenPress:
         """Append a press: write its image first, then the table."""
         added = TakenPress(f"press_{next_number(taken):03d}.png", press)
+        require_rows(self.presses, len(taken) + 1)
         with disk_errors(self.path):
             write_whole(self.path / added.image, png(image))
             # The table last: a row without its image would refuse the folder, an image without a

@@ -11,7 +11,7 @@ from pathlib import Path
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.images import number_in, png
-from tacshade_edge.files.tables import csv_bytes, number, read_columns
+from tacshade_edge.files.tables import csv_bytes, number, read_columns, require_rows
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import named_file
 from tacshade_edge.types import QUANTITIES, U8
@@ -117,7 +117,10 @@ class LabelFolder:
     def write(self, rows: Sequence[LabelRow], removed: Sequence[LabelRow] = ()) -> None:
         """Write the table, or delete it if it has no labels,
         then delete the images of removed rows.
+
+        Raises DeviceError, too, for more rows than are read again.
         """
+        require_rows(self.table, len(rows))
         columns = [name for name in QUANTITIES if any(name in row.known for row in rows)]
         cells = [
             [f"{row.known[name]:.4f}" if name in row.known else "" for name in columns]

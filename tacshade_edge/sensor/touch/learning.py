@@ -28,7 +28,6 @@ from tacshade_edge.sensor.touch.regression import (
     held_out,
     metric_of,
     precision_of,
-    variance_of,
 )
 from tacshade_edge.sensor.touch.touch_answer import coordinates, terms
 from tacshade_edge.types import F32, F64, I64, TouchModel
@@ -67,6 +66,7 @@ CONTRADICTS = 5.0
 """A row contradicts the others if its held-out residual exceeds this many robust standard
 deviations.
 """
+_LEAST_VARIANCE = 1e-12
 _MAD = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
 
 
@@ -235,8 +235,13 @@ def _imprint_fit(imprints: F64, values: F64, groups: I64) -> _ImprintFit:
 def _report(name: str, labels: F64, solved: Solved) -> QuantityReport:
     residuals, known = np.abs(solved.residuals), labels[solved.rows]
     held = residuals[np.isfinite(solved.variances)]
-    r2 = 1 - float(np.mean(held**2)) / variance_of(known)
-    seen = r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
+    # In the labels' own size: squares of small ones are 0. One that is always the same teaches
+    # nothing, however well it is foretold.
+    most = float(np.abs(known).max()) or 1.0
+    variance = float(np.var(known / most))
+    varies = variance > _LEAST_VARIANCE
+    r2 = 1 - float(np.mean((held / most) ** 2)) / variance if varies else 0.0
+    seen = varies and r2 >= max(SEEN, SEEN_ERRORS / float(np.sqrt(len(known))))
     contradicts = residuals > CONTRADICTS * _MAD * float(np.median(residuals))
     return QuantityReport(
         name=name,

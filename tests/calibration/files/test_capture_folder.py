@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.calibration.files.capture_folder import CaptureFolder
+from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow, read_labels
 from tacshade_edge.calibration.files.press_table import (
     BALL,
     MORE,
@@ -17,6 +18,7 @@ from tacshade_edge.calibration.files.press_table import (
 )
 from tacshade_edge.calibration.indenters import cylinder
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files import tables
 
 IMAGE = np.zeros((16, 16), np.uint8)
 PLAN_HEADER = "image,indenter,radius_mm,depth_mm,x_mm,y_mm"
@@ -220,3 +222,20 @@ def test_a_wrong_table_is_named_by_line_and_column(
         read_presses(table(tmp_path, text))
     assert "\n" not in str(refusal.value)
     assert "PRESSES.csv" in str(refusal.value)
+
+
+def test_what_is_captured_is_never_more_than_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "ROWS_MAX", 3)
+    labels, capture = LabelFolder(tmp_path), CaptureFolder(tmp_path)
+    rows = [LabelRow("a.png", {"depth_mm": float(k)}, "1") for k in range(4)]
+    labels.write(rows[:3])
+    with pytest.raises(DeviceError, match=r"LABELS\.csv: found 4 rows, expected at most 3; those"):
+        labels.write(rows)
+    assert len(read_labels(labels.table, tmp_path)) == 3
+    for _ in range(3):
+        capture.add(capture.taken(), IMAGE, press())
+    with pytest.raises(DeviceError, match=r"PRESSES\.csv: found 4 rows"):
+        capture.add(capture.taken(), IMAGE, press())
+    assert len(capture.taken()) == len(list(tmp_path.glob("press_*.png"))) == 3

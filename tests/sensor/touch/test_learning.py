@@ -66,6 +66,23 @@ def test_held_out_frames_are_answered_as_well_as_it_says(rows: int) -> None:
     assert np.mean(alike) > 0.95
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e5])
+def test_what_is_found_does_not_depend_on_the_unit(unit: float) -> None:
+    features, labels = table(60, 1)
+    usual, found = learnt(features, labels), learnt(features, labels * unit)
+    for one, other in zip(usual.reports, found.reports, strict=True):
+        assert other.r2 == pytest.approx(one.r2, abs=0.02)
+        assert other.error == pytest.approx(one.error * unit, rel=0.1)
+
+
+@pytest.mark.parametrize("unit", [1e-300, 1e-310])
+def test_labels_whose_squares_are_nothing_are_not_learnt(unit: float) -> None:
+    features, labels = table(60, 1)
+    found = learnt(features, labels * unit)
+    assert found.model is None
+    assert all(np.isfinite([each.r2, each.error]).all() for each in found.reports)
+
+
 def test_what_the_frames_do_not_show_is_not_answered() -> None:
     features, labels = table(120, 4)
     labels[:, 1] = np.random.default_rng(5).uniform(-5, 5, len(labels))
@@ -75,6 +92,15 @@ def test_what_the_frames_do_not_show_is_not_answered() -> None:
     assert found.model.names == ("depth_mm",)
     labels[:, 0] = labels[::-1, 1]
     assert learnt(features, labels).model is None
+
+
+@pytest.mark.parametrize("constant", [0.0, 2.0, 5e-324])
+def test_a_quantity_that_never_changes_is_not_learnt(constant: float) -> None:
+    features, labels = table(60, 4)
+    labels[:, 1] = constant
+    found = learnt(features, labels)
+    assert [report.seen for report in found.reports] == [True, False]
+    assert found.reports[1].r2 == 0
 
 
 def test_rows_that_contradict_the_others_are_named() -> None:
