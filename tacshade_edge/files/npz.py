@@ -102,6 +102,13 @@ def read(name: str, what: str, writer: str) -> Content:
     return Content(known, arrays)
 
 
+def is_read(data: bytes) -> bool:
+    """Whether `read` takes a file of this size and content."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    return max(len(data), unpacked) <= BYTES_MAX
+
+
 def parts_of(record: Any, kept: tuple[str, ...] = ()) -> tuple[dict[str, Any], dict[str, Array]]:
     """A record's values and arrays by field, those of a dataclass in it as its own.
 

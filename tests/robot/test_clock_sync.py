@@ -14,24 +14,27 @@ from tacshade_edge.robot.clock_sync import ONE_WAY_LATENCY_NS, ClockSync
 
 S = 10**9
 MS = 10**6
+TEN_YEARS_S = 10 * 365 * 86_400
 
 
-def synchronised(name: str, seconds: float) -> list[tuple[float, float, bool]]:
+def synchronised(
+    name: str, seconds: float, up_s: float = 1000, robot_up_s: float = 0
+) -> list[tuple[float, float, bool]]:
     """Errors and stated errors in ms, and whether 10 s have passed,
-    of a warming clock that sends a SYNC a second.
+    of a warming clock that sends a SYNC a second; both have been up for some time.
     """
     rng, line, sync, rows = random.Random(f"{name} 7"), LINES[name], ClockSync(), []
-    clock = Clock(rng.uniform(0, 1e6), rng.uniform(-40, 40))
+    clock = Clock(robot_up_s + rng.uniform(0, 1e6), rng.uniform(-40, 40))
     t4_ns, at_s, probed_s = None, 0.0, 0.0
     while at_s < seconds:
         received_s = at_s + line.to_daemon_s(rng)
-        sync.sync_received(clock.read_ns(at_s), round(S * (1000 + received_s)), t4_ns)
+        sync.sync_received(clock.read_ns(at_s), round(S * (up_s + received_s)), t4_ns)
         sent_s = received_s + rng.expovariate(1 / 0.0001)
-        sync.sync_answered(round(S * (1000 + sent_s)))
+        sync.sync_answered(round(S * (up_s + sent_s)))
         t4_s = sent_s + line.to_robot_s(rng)
         t4_ns, at_s, probed_s = clock.read_ns(t4_s), max(at_s + 1, t4_s), max(probed_s, received_s)
         while probed_s < at_s:
-            if found := sync.to_robot(round(S * (1000 + probed_s))):
+            if found := sync.to_robot(round(S * (up_s + probed_s))):
                 rows.append(
                     (
                         (found.t_ns - clock.read_ns(probed_s)) / MS,
@@ -75,6 +78,15 @@ def test_error_on_each_kind_of_line(line: str, bound_ms: float) -> None:
     assert (
         sum(stated for _, stated, _ in rows) / len(rows) < 10 * bound_ms
     )  # a bound that says something
+
+
+@pytest.mark.parametrize("up_s", [TEN_YEARS_S, 2**53 / S - 20])
+@pytest.mark.parametrize("robot_up_s", [0, TEN_YEARS_S, 2**62 / S])
+def test_years_of_uptime_cost_no_precision(up_s: float, robot_up_s: float) -> None:
+    """Seconds of this size, which only the test computes in, have a precision of 0.5 µs."""
+    rows = synchronised("usb", 40.0, up_s, robot_up_s)
+    assert rms_ms(rows) <= 0.2
+    assert covered(rows) >= 0.95
 
 
 @pytest.mark.parametrize("line", ["usb", "ftdi"])

@@ -61,6 +61,33 @@ def test_a_dent_is_in_proportion_to_the_skin(radius_mm: float, profile: str) -> 
         assert found_mm == pytest.approx(usual_mm * scale, abs=0.001 + 1e-3 * scale)
 
 
+@pytest.mark.parametrize(
+    ("seq", "t_ns", "wall_ns"),
+    [
+        (2**32 - 2, 10 * 365 * 86_400 * 10**9, 0),  # ten years of uptime, an unset clock
+        (2**40, 2**53 - 1, 2**31 * 10**9),  # as 2038 begins
+        (2**63, 2**62, 2**64 - 1),
+    ],
+)
+def test_frames_of_any_number_and_time_give_the_same(seq: int, t_ns: int, wall_ns: int) -> None:
+    """Slip, drift and settling go by differences of times."""
+    sensor = painted_calibration()
+    pictures = [sensor.reference_grey, TOUCHED, TOUCHED, sensor.reference_grey, TOUCHED]
+
+    def payloads(seq0: int, t0_ns: int, wall_ns: int) -> list[bytes]:
+        made = make_reconstructor(sensor, PROFILES["fast"])
+        frames = [
+            Frame(seq0 + k, t0_ns + k * 16_666_667, wall_ns, each)
+            for k, each in enumerate(pictures)
+        ]
+        encoded = [binary.encode_height(made.step(each), calibration_crc32=0) for each in frames]
+        times = [(m.seq, m.t_ns, m.wall_ns) for m in map(binary.decode, encoded)]
+        assert times == [(f.seq % 2**32, f.t_ns, f.wall_ns) for f in frames]
+        return [each[binary.HEADER_BYTES :] for each in encoded]
+
+    assert payloads(seq, t_ns, wall_ns) == payloads(0, 0, 0)
+
+
 @pytest.mark.parametrize("side_px", [16, 17, 24])
 def test_a_picture_of_a_few_pixels_has_an_answer(side_px: int) -> None:
     free = np.full((side_px, side_px), 30, np.uint8)

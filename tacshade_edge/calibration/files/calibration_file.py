@@ -133,20 +133,20 @@ def save(
     Raises DeviceError.
     """
     stored = with_crc(calibration)
-    content = _content(stored)
+    content, data = _content(stored), b""
     if inputs is not None:
         if kept := pack_inputs(inputs):
-            content = Content({**content.meta, "inputs": kept[0]}, {**content.arrays, **kept[1]})
-        else:
-            _log.warning(
-                (
-                    "%s: the calibration's images are too large to store; "
-                    "calibrate again after each update"
-                ),
-                path,
+            arrays = {**content.arrays, **kept[1]}
+            data = Content({**content.meta, "inputs": kept[0]}, arrays).packed()
+        # Beside large references or solids, even those that are not too many.
+        if not (data and npz.is_read(data)):
+            why = (
+                "the calibration's images are too large to store; calibrate again after each update"
             )
+            _log.warning("%s: %s", path, why)
+            data = b""
     try:
-        write_whole(Path(path), content.packed())
+        write_whole(Path(path), data or content.packed())
     except OSError as error:
         raise DeviceError(
             f"{path}: cannot write the calibration: {error.strerror or error}"

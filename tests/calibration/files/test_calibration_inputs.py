@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import zipfile
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from tacshade_edge.calibration.files.reference_file import (
 from tacshade_edge.calibration.indenters import Indenter
 from tacshade_edge.calibration.inputs import Inputs, KnownPress, StatedSensor
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files import npz
 from tacshade_edge.files.npz import Content
 from tacshade_edge.reasons import ReasonCode
 from tacshade_edge.types import U8, RestLimits
@@ -257,3 +259,22 @@ def test_other_files_and_none_that_can_be_read(path: Path) -> None:
     with pytest.raises(DeviceError, match="cannot write it: No such file or directory") as caught:
         reference_file.save(path.parent / "gone" / path.name, CALIBRATED, TAKEN)
     assert caught.value.code is ReasonCode.DISK
+
+
+def test_a_calibration_is_never_larger_than_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Large references or solids take the room of images that would not be too many alone."""
+    calibration, path = painted_calibration(), tmp_path / "c.npz"
+    calibration_file.save(path, calibration)
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    inputs = Inputs(SENSOR, (calibration.reference_grey,), ())
+    monkeypatch.setattr(npz, "BYTES_MAX", size + 1000)
+    stored = calibration_file.save(path, calibration, inputs)
+    assert "too large to store" in caplog.text
+    assert calibration_file.load(path).crc32 == stored.crc32
+    assert calibration_file.inputs_in(path) is None
+    monkeypatch.setattr(npz, "BYTES_MAX", size + 100_000)
+    calibration_file.save(path, calibration, inputs)
+    assert calibration_file.inputs_in(path) is not None
