@@ -62,8 +62,12 @@ TRIALS = (
         ("tests/calibration/files/test_impossible_values.py",),
     ),
     Trial(
-        "skins of 1 mm to 10 m, pictures of 16 px, and any number in a message",
-        ("tests/sensor/test_sizes.py", "tests/wire/test_binary.py"),
+        "numbers at their ends: skins, pictures, times, tables, descriptions, settings, messages",
+        (
+            "tests/sensor/test_sizes.py",
+            "tests/files/test_extreme_numbers.py",
+            "tests/wire/test_binary.py",
+        ),
     ),
     Trial(
         "SIGTERM comes at any moment of a start; standard streams are closed",
