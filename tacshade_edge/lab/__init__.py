@@ -7,8 +7,8 @@ Other rooms use: `demo.child`, `demo.demo_hand`, `demo.touchpad`, `fitting.expla
     `mjcf.mujoco_sensor`, `parallel`, `pressed_file`, `simulated_source`, `simulator.pad`,
     `simulator.press`, `simulator.render`, `simulator.script`, `simulator.sensor_model`,
     `simulator.tacshade`, `simulator.truth`, `studies.evaluate.accuracy`,
-    `studies.evaluate.labelled`, `studies.evaluate.score`, `studies.evaluate.touch_scores`,
-    `studies.evaluate.work`, `studies.markdown`, `studies.stitch.map_presses`,
-    `studies.stitch.map_truth`, `studies.tradeoff.judging`, `studies.tradeoff.measure`,
-    `studies.tradeoff.tradeoff_report`, `trial.trial`.
+    `studies.evaluate.label_doubts`, `studies.evaluate.labelled`, `studies.evaluate.score`,
+    `studies.evaluate.touch_scores`, `studies.evaluate.work`, `studies.markdown`,
+    `studies.stitch.map_presses`, `studies.stitch.map_truth`, `studies.tradeoff.judging`,
+    `studies.tradeoff.measure`, `studies.tradeoff.tradeoff_report`, `trial.trial`.
 """

@@ -6,9 +6,9 @@ with those that another order gives them, that is the order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,7 +30,22 @@ class Order(StrEnum):
     BEFORE = "does each image have the values of the row before?"
     AFTER = "does each image have the values of the row after?"
     REVERSED = "are the images in the opposite order?"
+    BY_TEXT = "are the images sorted as text, 10 before 2, and the values by number?"
+    BY_NUMBER = "are the images sorted by number, and the values as text, 10 before 2?"
     OTHER = "are the images in another order?"
+
+
+def name_orders(names: Sequence[str], by_number: Callable[[str], Any]) -> dict[Order, I64]:
+    """The row of each image's values if images or values were sorted by name, and the others by
+    another key than text.
+    """
+    orders = dict[Order, I64]()
+    if len(set(names)) < len(names):
+        return orders
+    for order, key in ((Order.BY_TEXT, by_number), (Order.BY_NUMBER, str)):
+        rank = {name: k for k, name in enumerate(sorted(names, key=key))}
+        orders[order] = np.array([rank[name] for name in names], np.int64)
+    return orders
 
 
 def judge_rows(stated: F64, seen: F64, explained: float = 1.0) -> Suspicion | None:

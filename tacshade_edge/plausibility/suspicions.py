@@ -36,6 +36,8 @@ class SuspicionCode(Enum):
     LABEL_SIGN = auto()
     LABELS_SWAPPED = auto()
     LABELS_SHIFTED = auto()
+    LABEL_CONSTANT = auto()
+    LABEL_UNSHOWN = auto()
     # Presses and the sensor that they are of.
     ROWS_OF_OTHERS = auto()
     CIRCLE_STATED = auto()
@@ -150,7 +152,15 @@ SUSPICION_SENTENCES: Final[Mapping[SuspicionCode, str]] = {
     ),
     SuspicionCode.LABELS_SHIFTED: (
         "found labels that go with no frame but that of another row, expected each image's own: "
-        "does each have those of the row {row}?"
+        "{order}"
+    ),
+    SuspicionCode.LABEL_CONSTANT: (
+        "{name}: found {value:g} in all {rows} rows that have it, expected values that differ"
+    ),
+    SuspicionCode.LABEL_UNSHOWN: (
+        "{name}: found labels that do not go with the depths in the frames (correlation "
+        "{correlation:.2f} in {rows} frames), expected each image's own: are the rows in another "
+        "order, or of other images?"
     ),
     SuspicionCode.ROWS_OF_OTHERS: (
         "found places and depths that fit no image but that of another row, expected each image's "

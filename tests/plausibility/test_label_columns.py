@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacshade_edge.plausibility.label_columns import judge_labels
+from tacshade_edge.plausibility.row_order import Order, name_orders
 from tacshade_edge.plausibility.suspicions import SuspicionCode
 from tacshade_edge.plausibility.units import ANGLES, LENGTHS
 from tacshade_edge.types import F64
@@ -96,13 +97,84 @@ def test_swapped_tilts_are_doubted(seed: int) -> None:
     assert [one.code for one in judge_labels(labels, seen)] == [SuspicionCode.LABELS_SWAPPED]
 
 
+NAMES = [f"frame_{k}.png" for k in range(60)]
+ORDERS = {
+    Order.BEFORE: np.roll(np.arange(60), 1),
+    Order.AFTER: np.roll(np.arange(60), -1),
+    Order.REVERSED: np.arange(60)[::-1],
+}
+
+
+def number_in(name: str) -> int:
+    return int(name[6:-4])
+
+
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from([(1, "before"), (-1, "after")]))
-def test_a_table_shifted_by_a_row_is_refused(seed: int, case: tuple[int, str]) -> None:
+@given(st.integers(0, 10**6), st.sampled_from(list(ORDERS)))
+def test_a_table_in_another_order_is_refused(seed: int, order: Order) -> None:
     labels, seen = table(seed)
-    by, row = case
-    found = judge_labels({name: np.roll(one, by) for name, one in labels.items()}, seen)
-    assert [(one.code, one.values["row"]) for one in found] == [(SuspicionCode.LABELS_SHIFTED, row)]
+    (found,) = judge_labels({name: one[ORDERS[order]] for name, one in labels.items()}, seen)
+    assert (found.code, found.impossible) == (SuspicionCode.LABELS_SHIFTED, True)
+    assert str(found).endswith(order)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.booleans())
+def test_a_table_whose_images_are_sorted_otherwise_than_its_values_is_refused(
+    seed: int, as_text: bool
+) -> None:
+    labels, seen = table(seed)
+    of = {name: k for k, name in enumerate(NAMES)}
+    # The images of the table, in the order of its rows, and what each shows.
+    names = sorted(NAMES) if as_text else NAMES
+    shown = [of[name] for name in names]
+    stated = np.arange(60) if as_text else np.array([of[name] for name in sorted(NAMES)])
+    mixed = {name: one[stated] for name, one in labels.items()}
+    frames = {name: one[shown] for name, one in seen.items()}
+    (found,) = judge_labels(mixed, frames, orders=name_orders(names, number_in))
+    assert found.values["order"] is (Order.BY_TEXT if as_text else Order.BY_NUMBER)
+    # Of rows that belong together, no order is better.
+    honest = {name: one[shown] for name, one in labels.items()}
+    assert judge_labels(honest, frames, orders=name_orders(names, number_in)) == ()
+    assert name_orders([*names, names[0]], number_in) == {}
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 10**6), st.integers(40, 200))
+def test_a_column_that_goes_with_nothing_is_doubted_unless_it_is_learnt(
+    seed: int, rows: int
+) -> None:
+    labels, seen = table(seed, rows=rows)
+    draw = np.random.default_rng(seed)
+    labels["depth_mm"] = draw.permutation(labels["depth_mm"])
+    names = [one.values["name"] for one in judge_labels(labels, seen)]
+    by_chance = abs(np.corrcoef(labels["depth_mm"], labels["force_z_n"])[0, 1]) > 1 / np.sqrt(rows)
+    assert names == ["depth_mm"] or by_chance
+    assert judge_labels(labels, seen, learnt={"depth_mm", "force_z_n"}) == ()
+    # All depths are alike, so that they show nothing of each other.
+    labels["depth_mm"] = 1 + labels["depth_mm"] / 100
+    assert judge_labels(labels, seen) == ()
+
+
+def test_a_shuffled_table_is_doubted_by_each_quantity_that_goes_with_depth() -> None:
+    labels, seen = table(1, rows=200)
+    order = np.random.default_rng(1).permutation(200)
+    found = judge_labels({name: one[order] for name, one in labels.items()}, seen)
+    assert [one.values["name"] for one in found] == ["depth_mm", "force_z_n"]
+    assert str(found[0]).endswith("are the rows in another order, or of other images?")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from(["depth_mm", "tilt_x_deg", "force_z_n"]))
+def test_a_column_of_one_value_is_said(seed: int, name: str) -> None:
+    labels, seen = table(seed)
+    labels[name] = np.where(np.isfinite(labels[name]), 1.5, np.nan)
+    rows = int(np.isfinite(labels[name]).sum())
+    (found,) = judge_labels(labels, seen)
+    assert (found.impossible, str(found)) == (
+        False,
+        f"{name}: found 1.5 in all {rows} rows that have it, expected values that differ",
+    )
 
 
 @pytest.mark.parametrize("rows", [0, 5])

@@ -24,6 +24,7 @@ from tacshade_edge.lab.parallel import workers
 from tacshade_edge.lab.simulator.press import OBJECTS
 from tacshade_edge.lab.studies.evaluate import accuracy
 from tacshade_edge.lab.studies.evaluate import labelled as labels
+from tacshade_edge.lab.studies.evaluate.label_doubts import label_doubts
 from tacshade_edge.lab.studies.evaluate.score import Row
 from tacshade_edge.lab.studies.evaluate.touch_scores import (
     TouchRow,
@@ -229,5 +230,6 @@ def _publish_labelled(args: argparse.Namespace, found: _Compared) -> None:
         text += f"\n\n{touch_text(touch)}"
         files["-touch"] = csv_text(TouchRow, touches)
     study.publish(args, "labels", text, files, document)
-    for line in found.unscored:
+    doubts = label_doubts(found.rows, found.known, touch)
+    for line in (*found.unscored, *(f"{args.labels}: {doubt}" for doubt in doubts)):
         warn(line)

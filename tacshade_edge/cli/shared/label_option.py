@@ -12,6 +12,7 @@ from tacshade_edge.calibration.files.labels import LabelledImage
 from tacshade_edge.cli.shared.progress import Progress
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.images import read_image, size_text
+from tacshade_edge.plausibility.suspicions import SuspicionCode
 from tacshade_edge.quoting import counted
 from tacshade_edge.sensor.inference.network import LabelledFrame, TouchResult, learn_touch
 from tacshade_edge.sensor.profiles import PROFILES
@@ -79,7 +80,7 @@ def _frames(
             raise ConfigError(
                 f"{row.where}: image: {row.path}: found {size_text(image)} px, expected {size} px"
             )
-        yield LabelledFrame(row.where, image, row.known, row.group)
+        yield LabelledFrame(row.where, image, row.known, row.group, row.path.name)
         report(done, len(labelled))
 
 
@@ -90,15 +91,19 @@ def touch_models(results: Sequence[TouchResult]) -> Mapping[str, TouchModel]:
 
 def touch_warnings(results: Sequence[TouchResult]) -> tuple[str, ...]:
     """Return warnings about frames that were left out and quantities with too few rows."""
-    # Each profile looks at the same labels.
-    lines = list(dict.fromkeys(str(doubt) for one in results for doubt in one.suspected))
+    # Each profile looks at the same labels, and sees them a little differently.
+    doubts = [doubt for one in results for doubt in one.suspected]
+    first = {(doubt.code, doubt.values.get("name")): doubt for doubt in reversed(doubts)}
+    lines = list(map(str, reversed(first.values())))
+    constant = {name for code, name in first if code is SuspicionCode.LABEL_CONSTANT}
     for one in results:
         if one.left_out:
             shown = "; ".join(one.left_out[:_SHOWN]) + (
                 "; ..." if len(one.left_out) > _SHOWN else ""
             )
             lines.append(f"{one.profile}: left out {len(one.left_out)} labelled frames: {shown}")
-        for name, (rows, groups) in one.too_few.items():
+        few = {name: found for name, found in one.too_few.items() if name not in constant}
+        for name, (rows, groups) in few.items():
             found = f"found {rows} usable rows in {groups} groups"
             expected = (
                 f"expected at least {LEAST_ROWS} rows in {LEAST_GROUPS} groups, of different values"

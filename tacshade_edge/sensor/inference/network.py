@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib import resources
@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacshade_edge.files.images import by_number
 from tacshade_edge.free_memory import return_free_memory
 from tacshade_edge.plausibility.label_columns import judge_labels
+from tacshade_edge.plausibility.row_order import name_orders
 from tacshade_edge.plausibility.suspicions import Suspicion
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.depth import Network, SigmaModel
@@ -269,12 +271,15 @@ def _without_names(calibration: Calibration, profile: Profile) -> Reconstructor:
 
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
-    """A picture's name in the table, its labels, and its group (empty: a group of its own)."""
+    """A picture's name in the table, its labels, its group (empty: a group of its own), and its
+    file's name.
+    """
 
     name: str
     image: U8
     known: Mapping[str, float]
     group: str = ""
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -301,25 +306,24 @@ def learn_touch(
     reconstructor = Reconstructor(
         calibration, profile, load_network(profile.network, fitted), touch=taken.append
     )
-    names: list[str] = []
-    left_out, known, groups, imprints, parts = [], [], [], [], []
+    kept: list[LabelledFrame] = []
+    left_out, groups, imprints, parts = [], [], [], []
     shown: list[Touch | None] = []
     for frame in frames:
         made = reconstructor.step(Frame(0, 0, 0, frame.image), need=Need.TOUCH)
         # A refused frame has no features: the observer was not called.
-        if made is None or len(taken) == len(names):
+        if made is None or len(taken) == len(kept):
             left_out.append(f"{frame.name}: {made and made.reason}")
             continue
-        names.append(frame.name)
+        kept.append(frame)
         imprints.append(imprint_of(made.objects, made.volume_mm3) if made.contact else NO_IMPRINT)
         parts.append(reconstructor.changed_part)
         shown.append(made.touch)
-        known.append(frame.known)
         # A group of its own, by a name that no table can hold.
-        groups.append(frame.group or f"\0{len(names)}")
-    labels = np.array([[one.get(name, np.nan) for name in QUANTITIES] for one in known]).reshape(
-        -1, len(QUANTITIES)
-    )
+        groups.append(frame.group or f"\0{len(kept)}")
+    labels = np.array(
+        [[one.known.get(name, np.nan) for name in QUANTITIES] for one in kept]
+    ).reshape(-1, len(QUANTITIES))
     counts = np.isfinite(labels).sum(axis=0)
     numbers = np.unique(groups, return_inverse=True)[1].astype(np.int64)
     presses = np.array([len(np.unique(numbers[np.isfinite(column)])) for column in labels.T])
@@ -338,19 +342,29 @@ def learn_touch(
         learnt = learn(
             *table, chosen, labels[:, used], numbers, touch_networks(profile.network, fitted)
         )
-    doubts = _doubts(labels, shown)
-    return TouchResult(profile.name, learnt, tuple(names), tuple(left_out), too_few, doubts)
+    answered = {report.name for report in learnt.reports if report.seen}
+    doubts = _doubts(labels, shown, answered, [frame.file for frame in kept])
+    names = tuple(frame.name for frame in kept)
+    return TouchResult(profile.name, learnt, names, tuple(left_out), too_few, doubts)
 
 
-def _doubts(labels: F64, shown: Sequence[Touch | None]) -> tuple[Suspicion, ...]:
-    """What is wrong with labels (n, Q), judging by what the frames show without them."""
+def _doubts(
+    labels: F64, shown: Sequence[Touch | None], answered: Collection[str], files: Sequence[str]
+) -> tuple[Suspicion, ...]:
+    """What is wrong with labels (n, Q), judging by what the frames show without them, and what a
+    model answers.
+    """
     values = [{} if touch is None else touch.values for touch in shown]
     seen = [
         np.array([np.nan if (value := one.get(name)) is None else value for one in values])
         for name in PLAIN
     ]
-    stated = dict(zip(QUANTITIES, labels.T, strict=True))
-    return judge_labels({name: stated[name] for name in PLAIN}, dict(zip(PLAIN, seen, strict=True)))
+    return judge_labels(
+        dict(zip(QUANTITIES, labels.T, strict=True)),
+        dict(zip(PLAIN, seen, strict=True)),
+        learnt=answered,
+        orders=name_orders(files, lambda name: by_number(Path(name))),
+    )
 
 
 # Symbol of the unit at the end of a quantity's name.

@@ -308,7 +308,7 @@ def scored_by_what_was_learnt(
         ),
         (
             "image,depth_mm\n" + 40 * "free.png,1\n",
-            "cannot learn any quantity: fast: depth_mm: found 40 usable rows in 40 groups",
+            "cannot learn any quantity: depth_mm: found 1 in all 40 rows that have it, expected",
         ),
     ],
 )
@@ -348,7 +348,7 @@ def test_labels_in_another_unit_are_refused(
     for changed, said in (
         (radians, "are they in radians?"),
         (metres, "are they in m?"),
-        (shifted, "does each have those of the row before?"),
+        (shifted, "does each image have the values of the row before?"),
     ):
         table.write_text("\n".join([head, *map(",".join, changed)]) + "\n")
         command = ["calibrate", *alone, "--labels", str(table), "--out", str(tmp_path / "cal.npz")]

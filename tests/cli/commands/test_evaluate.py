@@ -146,6 +146,18 @@ def test_a_label_that_nothing_scores_is_said_to_be_so(
     ]
 
 
+def test_labels_that_cannot_teach_are_said_to_be_so(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = own / "LABELS.csv"
+    table.write_text("image,tilt_x_deg\n" + 12 * "coin.png,2\n")
+    assert main(of_own(own, "--labels", str(table), "--profile", "fast", "--json")) == 0
+    assert without_progress(capsys.readouterr().err) == [
+        f"tacshade-edge: {table}: tilt_x_deg: found 2 in all 12 rows that have it, expected values "
+        "that differ"
+    ]
+
+
 def test_invalid_images_are_refused_one_by_one_and_exit_1(
     own: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
