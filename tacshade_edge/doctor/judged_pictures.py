@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
-
-import numpy as np
 
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.images import read_image
 from tacshade_edge.quoting import shown
 from tacshade_edge.reasons import Reason, reason_fields
 from tacshade_edge.sensor.frame_check import Measured, first_reason, size_reason
+from tacshade_edge.sensor.frame_check.turned import with_turn
 from tacshade_edge.sensor.inference.network import make_reconstructor
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration
-
-_TURNS: Final[Mapping[str, Callable[[U8], U8]]] = {
-    "mirrored left to right": np.fliplr,
-    "mirrored top to bottom": np.flipud,
-    "turned by 180 degrees": lambda image: np.rot90(image, 2),
-    "turned by 90 degrees clockwise": lambda image: np.rot90(image, -1),
-    "turned by 90 degrees counter-clockwise": np.rot90,
-    "with rows and columns swapped": lambda image: image.swapaxes(0, 1),
-    "with rows and columns swapped, turned by 180 degrees": lambda image: np.rot90(
-        image.swapaxes(0, 1), 2
-    ),
-}
-"""Each way in which another program may have turned a picture, by how it is undone."""
 
 UNEXPLAINED_MOST = 1.0
 """A map that leaves this share of a picture's change unexplained is as good as none."""
@@ -85,18 +71,13 @@ def judge_pictures(
             # found.
             measured = reconstructor.measured(image)
             reason = first_reason(measured)
-        if reason is not None and (turned := _passes_turned(image, size, reconstructor)):
-            reason = Reason(reason.code, f"{reason}; it passes {turned}: has a program done that?")
+        if reason is not None:
+            reason = with_turn(reason, image, size, partial(_passes, reconstructor))
         yield Judged(path, measured, reason)
 
 
-def _passes_turned(image: U8, size: tuple[int, int], reconstructor: Reconstructor) -> str:
-    """How a refused picture passes: mirrored or turned; empty if in no such way."""
-    for name, turn in _TURNS.items():
-        turned = np.ascontiguousarray(turn(image))
-        if turned.shape[:2] == size and first_reason(reconstructor.measured(turned)) is None:
-            return name
-    return ""
+def _passes(reconstructor: Reconstructor, image: U8) -> bool:
+    return first_reason(reconstructor.measured(image)) is None
 
 
 def figures(judged: Sequence[Judged]) -> list[str]:

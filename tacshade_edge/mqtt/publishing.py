@@ -15,6 +15,8 @@ from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.pipeline.ledger import Counts, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
+from tacshade_edge.sensor.inference.turned_frames import with_turn_of
+from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.settings import Settings
 from tacshade_edge.types import Frame, Need, Reconstruction, Slip
 from tacshade_edge.wire import binary, messages
@@ -205,8 +207,8 @@ class HealthReport(FrameObserver):
     """The ``health`` message: how many frames arrived, their outcomes, and how fast,
     as means between two snapshots.
 
-    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid;
-    None if one was good or none came.
+    `unusable` is why every frame of the last `UNUSABLE_PERIODS` periods was invalid, and whether
+    the latest would be valid if it was not turned; None if one was good or none came.
     """
 
     def __init__(self, ledger: FrameLedger, timings: Timings) -> None:
@@ -217,10 +219,13 @@ class HealthReport(FrameObserver):
         self._unusable_periods = 0
         self._touched_frames = 0
         self._latest: Reconstruction | None = None
+        self._refused: FrameResult | None = None
         self.unusable: Reason | None = None
 
     def see(self, seen: FrameResult) -> None:
         self._latest = seen.reconstruction or self._latest
+        refused = seen.reconstruction is not None and seen.reconstruction.reason is not None
+        self._refused = seen if refused else None
         if seen.reconstruction is not None and seen.reconstruction.touched:
             self._touched_frames += 1
 
@@ -264,6 +269,15 @@ class HealthReport(FrameObserver):
             self._unusable_periods += 1
         if self._unusable_periods >= UNUSABLE_PERIODS and not self.unusable:
             self.unusable = reason or Reason(ReasonCode.NO_USABLE_FRAME, "no frame is usable")
+            self._look_for_turn(self.unusable)
+
+    def _look_for_turn(self, reason: Reason) -> None:
+        """Add to why frames are refused how the latest would pass; once for each state."""
+        refused = self._refused
+        if refused is not None and refused.calibration and refused.reconstruction:
+            profile = PROFILES[refused.reconstruction.profile]
+            image = np.asarray(refused.frame.image)
+            self.unusable = with_turn_of(reason, image, refused.calibration, profile)
 
 
 WIDTH_PX = 320
