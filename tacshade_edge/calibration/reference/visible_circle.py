@@ -252,10 +252,26 @@ def _circle_through_rim(
     rim = hull[from_border > border_px]
     if from_border.min() > border_px or len(rim) < _RIM_CORNERS:
         return None
-    from skimage.measure import CircleModel  # 10 MB, which whole images do not need
+    circle = circle_by_least_squares(rim)
+    return circle and Disc(*(each * scale for each in circle))
 
-    circle = CircleModel.from_estimate(rim)
-    if not circle:
+
+def circle_by_least_squares(points: F64) -> tuple[float, float, float] | None:
+    """Row, column and radius of the circle whose equation the points (N, 2) fit best; None for
+    points on a line.
+
+    The circle is linear in (row, col, r² - row² - col²). That of scikit-image 0.26 calls what SciPy
+    removes.
+    """
+    middle, scale = points.mean(axis=0), points.std()
+    if scale == 0:
         return None
-    row, col = circle.center
-    return Disc(float(row) * scale, float(col) * scale, float(circle.radius) * scale)
+    # Around their middle and of size 1: places far from the corner would cost digits.
+    units = (points - middle) / scale
+    terms = np.column_stack([2 * units, np.ones(len(units))])
+    solved, _, rank, _ = np.linalg.lstsq(terms, (units**2).sum(axis=1), rcond=None)
+    if rank < terms.shape[1]:
+        return None
+    row, col = solved[:2] * scale + middle
+    radius = np.sqrt(((points - (row, col)) ** 2).sum(axis=1).mean())
+    return float(row), float(col), float(radius)

@@ -25,6 +25,7 @@ from tacshade_edge.calibration.reference.pattern import (
     mean_image,
 )
 from tacshade_edge.calibration.reference.visible_circle import (
+    circle_by_least_squares,
     find_disc,
     found_circle_doubt,
     other_statement,
@@ -334,3 +335,23 @@ def test_a_wrong_circle_is_never_found_silently(
     assert (
         said != "found" or off < 0.04
     )  # 256 of 260 within 0.02; more noise in a burnt surround: 0.09
+
+
+@given(
+    st.tuples(st.floats(-3000, 3000), st.floats(-3000, 3000), st.floats(20, 3000)),
+    st.floats(0.5, 2 * np.pi),
+    st.integers(5, 60),
+)
+def test_an_arc_gives_its_circle(
+    circle: tuple[float, float, float], angle: float, corners: int
+) -> None:
+    row, col, radius = circle
+    angles = np.linspace(0, angle, corners)
+    arc = np.column_stack([row + radius * np.sin(angles), col + radius * np.cos(angles)])
+    found = circle_by_least_squares(arc)
+    assert found == pytest.approx(circle, abs=1e-6)
+
+
+@pytest.mark.parametrize("step", [(0.0, 0.0), (1.0, 2.0)])
+def test_points_on_a_line_have_no_circle(step: tuple[float, float]) -> None:
+    assert circle_by_least_squares(np.outer(np.arange(6.0), step)) is None
