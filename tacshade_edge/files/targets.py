@@ -63,10 +63,15 @@ def check_folder(folder: Path, names: Iterable[str] = ()) -> None:
 
 def _check_kind(path: Path) -> None:
     for each in (path, part(path)):
-        if each.is_dir():
+        try:
+            # From Python 3.14 on, `exists` and `is_dir` hide that a name is too long.
+            mode = each.stat().st_mode
+        except FileNotFoundError:
+            continue
+        if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(each))
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EEXIST, "found no regular file", str(path))
+        if each == path and not stat.S_ISREG(mode):
+            raise OSError(errno.EEXIST, "found no regular file", str(path))
 
 
 def _check_space(path: Path, folder: Path) -> None:

@@ -40,7 +40,7 @@ def test_a_path_that_cannot_be_looked_at_is_one_line(
     assert main(words.replace("LONG", "n" * 300).split()) == EXIT_CONFIG
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert said.endswith(("File name too long\n", "found nothing, expected a recording\n"))
+    assert "File name too long\n" in said or "found nothing, expected a " in said
 
 
 @pytest.mark.parametrize(
