@@ -2,7 +2,7 @@
 # install.sh [--uninstall]: puts the service in place, as root; running it again changes nothing that a person edited.
 # DESTDIR=DIR stages the files below DIR and touches neither Python, users nor the running system; LIB=/usr/lib puts them
 # where a distribution's packages have theirs.
-# PYTHON chooses the interpreter (3.11 to 3.13; default python3).
+# PYTHON chooses the interpreter (3.11 to 3.14; default python3).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 dest=${DESTDIR:-}

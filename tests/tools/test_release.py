@@ -219,7 +219,7 @@ def only(requirement: Requirement) -> str:
     return specifier.version
 
 
-@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13", "3.14"])
 def test_the_lock_keeps_to_pyproject(python: str) -> None:
     found, pyproject = pinned(python), tomllib.loads((ROOT / "pyproject.toml").read_text())
     project = pyproject["project"]
@@ -248,7 +248,7 @@ def listed(python: str) -> dict[str, Any]:
 
 def test_the_bill_lists_what_is_pinned_for_any_python() -> None:
     lock, supported = LOCK.read_text(), bill.pythons(ROOT)
-    assert supported == ["3.11", "3.12", "3.13"]
+    assert supported == ["3.11", "3.12", "3.13", "3.14"]
     assert bill.pinned(lock) == {(each.name, only(each)) for each, _ in entries()}
     one = listed("3.11")
     assert bill.missing(one, lock) == [
