@@ -29,10 +29,14 @@ _MAPS = "maps"
 def back_up(config: Path, out: Path) -> list[str]:
     """Write the backup of the board that these settings describe; return the names in it.
 
-    Raises ConfigError (the settings, or `out` exists) and DeviceError (IN_USE while another backup
-    writes it).
+    Raises ConfigError (the settings, `out` exists, or more than a restore takes) and DeviceError
+    (IN_USE while another backup writes it).
     """
-    documents = load_all(config)
+    files = ((SETTINGS, config), *_files(load_all(config)))
+    if sum(path.stat().st_size for _, path in files) > _BYTES_MAX:
+        found = f"found more than {_BYTES_MAX >> 30} GiB of calibrations, objects and maps"
+        fix = "expected what a restore takes; keep old folders of maps elsewhere"
+        raise ConfigError(f"{config}: {found}, {fix}")
     names = []
     # Two would write the same incomplete file, and both results would be damaged.
     with one_at_a_time(out, "backup", "writing"), disk_errors(out):
@@ -43,7 +47,7 @@ def back_up(config: Path, out: Path) -> list[str]:
             with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
                 # Only the board's owner: a map may show what a robot touched.
                 partial.chmod(0o600)
-                for name, path in ((SETTINGS, config), *_files(documents)):
+                for name, path in files:
                     file.write(path, name)
                     names.append(name)
             sync(partial)

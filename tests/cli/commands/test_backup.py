@@ -13,6 +13,7 @@ import pytest
 
 from support.patience import patience
 from tacshade_edge.cli import main
+from tacshade_edge.daemon import board_backup
 from tacshade_edge.files.targets import one_at_a_time
 
 
@@ -91,6 +92,23 @@ def test_a_second_one_is_told_who_is_there(
         assert main(["backup", *restore, str(out), "--config", str(config)]) == 1
         assert contents(board) == before
     assert f"another backup (pid {os.getpid()}) is busy with" in capsys.readouterr().err
+
+
+def test_a_backup_that_no_restore_takes_is_not_written(
+    board: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with zipfile.ZipFile(backed_up(board)) as file:
+        size = sum(each.file_size for each in file.infolist())
+    (board.parent / "board.zip").unlink()
+    monkeypatch.setattr(board_backup, "_BYTES_MAX", size - 1)
+    words = ["backup", str(board.parent / "board.zip"), "--config", str(board / "config.yaml")]
+    assert main(words) == 78
+    said = capsys.readouterr().err
+    assert "expected what a restore takes; keep old folders of maps elsewhere" in said
+    assert [path.name for path in board.parent.iterdir()] == ["board"]
+    monkeypatch.setattr(board_backup, "_BYTES_MAX", size)
+    out = backed_up(board)
+    assert main(["backup", "--restore", str(out), "--config", str(board / "config.yaml")]) == 0
 
 
 def test_a_backup_is_never_overwritten(board: Path, capsys: pytest.CaptureFixture[str]) -> None:
