@@ -15,6 +15,8 @@ from tacshade_edge.mqtt.link import MqttLink
 from tacshade_edge.pipeline.ledger import Counts, FrameLedger, FrameOutcome, Timings
 from tacshade_edge.pipeline.observer import FrameObserver, FrameResult
 from tacshade_edge.reasons import Reason, ReasonCode, code_of, reason_fields
+from tacshade_edge.sensor.frame_check.turned import likelier_turn
+from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.inference.turned_frames import with_turn_of
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.settings import Settings
@@ -219,13 +221,13 @@ class HealthReport(FrameObserver):
         self._unusable_periods = 0
         self._touched_frames = 0
         self._latest: Reconstruction | None = None
-        self._refused: FrameResult | None = None
+        self._seen: FrameResult | None = None
+        self._turn_judged: int | None = None  # the calibration's CRC
         self.unusable: Reason | None = None
 
     def see(self, seen: FrameResult) -> None:
         self._latest = seen.reconstruction or self._latest
-        refused = seen.reconstruction is not None and seen.reconstruction.reason is not None
-        self._refused = seen if refused else None
+        self._seen = seen
         if seen.reconstruction is not None and seen.reconstruction.touched:
             self._touched_frames += 1
 
@@ -240,6 +242,7 @@ class HealthReport(FrameObserver):
         latest = self._latest
         reason, degraded = (latest.reason, latest.degraded) if latest else (None, None)
         self._judge(before, counts, reason)
+        self._warn_of_turn()
         return {
             "wall_ns": time.time_ns(),
             "uptime_s": round((now_ns - self._started_ns) / 1e9, 1),
@@ -273,11 +276,27 @@ class HealthReport(FrameObserver):
 
     def _look_for_turn(self, reason: Reason) -> None:
         """Add to why frames are refused how the latest would pass; once for each state."""
-        refused = self._refused
-        if refused is not None and refused.calibration and refused.reconstruction:
-            profile = PROFILES[refused.reconstruction.profile]
-            image = np.asarray(refused.frame.image)
-            self.unusable = with_turn_of(reason, image, refused.calibration, profile)
+        seen = self._seen
+        if seen is None or seen.calibration is None or seen.reconstruction is None:
+            return
+        if seen.reconstruction.reason is not None:
+            profile, image = PROFILES[seen.reconstruction.profile], np.asarray(seen.frame.image)
+            self.unusable = with_turn_of(reason, image, seen.calibration, profile)
+
+    def _warn_of_turn(self) -> None:
+        """Log that frames are used although they show the reference turned; the first frame of each
+        calibration is judged.
+        """
+        seen = self._seen
+        if seen is None or seen.calibration is None or seen.reconstruction is None:
+            return
+        known = seen.calibration
+        if seen.reconstruction.reason is not None or known.crc32 == self._turn_judged:
+            return
+        self._turn_judged = known.crc32
+        if turn := likelier_turn(to_grey(np.asarray(seen.frame.image)), known.reference_grey):
+            found = "pictures fit the reference only %s: has the camera or a program done that?"
+            _log.warning(found, turn)
 
 
 WIDTH_PX = 320
