@@ -192,9 +192,11 @@ class PressCheck:
         if reason := self._judges.reason(look.grey):
             return Judgement(reason)
         drift = camera_drift.drift(self._reference, look.grey)
-        shift = camera_drift.shift_reason(drift, self.geometry.disc)
+        disc, shift = self.geometry.disc, None
+        if camera_drift.carries_pattern(drift, disc):
+            shift = camera_drift.shift_reason(drift, disc)
         # Before the contact: a picture that moved seems to change everywhere.
-        if shift and camera_drift.shifted_too_far(drift, self.geometry.disc):
+        if shift and camera_drift.carried_too_far(drift, disc):
             return Judgement(None, moved=shift)
         changed = shift or drift.light_reason
         in_contact = look.changed_part >= self.gate.plain_part or look.inverse is not None

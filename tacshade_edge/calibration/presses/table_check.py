@@ -36,6 +36,9 @@ _LEAST_SIZED, _LEAST_SEEN_PART = 4, 0.5
 _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.7, 1.85)
+# Balls whose radii differ by less show no spread. Of an infinite size, good ones would look 1.0,
+# 1.1 and 1.5 times as large on three oblate shells, those of halved radii about twice.
+_LEAST_SIZES, _SPREAD_BALL = 1.5, 1.5
 # If all stated depths are too great by a constant, balls look smaller, and depths as much. Balls
 # over depths are 0.96 or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
 _LEAST_BALL_PER_DEPTH = 0.9
@@ -97,7 +100,7 @@ def gross_mistakes(
     seen = [o for o in observations if o.is_seen]
     depth = _median([o.seen_depth_mm / o.depth_mm for o in seen])
     is_mostly_seen = len(seen) >= _LEAST_SEEN_PART * len(observations)
-    ball = _median([o.ball_factor for o in seen if is_mostly_seen and math.isfinite(o.ball_factor)])
+    ball = _ball_factor([o for o in seen if is_mostly_seen and math.isfinite(o.ball_factor)])
     # Places are found without a network too, so axes are judged even if it sees nothing.
     axes = axes_hint(observations, geometry)
     # Values of other rows look like many other mistakes.
@@ -116,6 +119,25 @@ def unit_mistake(factor: float) -> CalibrationFinding | None:
         return None
     unit = min(_UNITS, key=lambda name: abs(math.log(_UNITS[name] / factor)))
     return finding(FindingCode.DEPTH_UNIT, factor=factor, unit=unit)
+
+
+def _ball_factor(balls: Sequence[PressObservation]) -> float:
+    """The median ratio of shown to stated radii; of balls that look too large because the skin
+    spreads every dent alike, that of a ball much larger than the spread.
+
+    A shown radius is then the root of the squared radius and the squared spread: of small balls a
+    multiple of the stated one. Halved radii show in balls of all sizes.
+    """
+    ratio = _median([o.ball_factor for o in balls])
+    if not ratio > _BALL_FACTORS[1]:
+        return ratio
+    # A line through the medians of three groups by size, up to an infinite size.
+    squares = np.array(sorted((o.radius_mm**-2, o.ball_factor**2) for o in balls))
+    per_size, shown = np.array([np.median(group, axis=0) for group in np.array_split(squares, 3)]).T
+    if per_size[-1] < _LEAST_SIZES**2 * per_size[0]:
+        return ratio
+    _, of_infinite = np.polyfit(per_size, shown, 1)
+    return math.sqrt(max(of_infinite, 1.0)) if of_infinite < _SPREAD_BALL**2 else ratio
 
 
 def size_mistake(

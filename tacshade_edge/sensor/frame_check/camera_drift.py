@@ -55,6 +55,9 @@ _LEAST_POINTS, _LEAST_PART = 20, 0.2
 # movement with turn and zoom (of which a deep press alone imitates 1 px), is worth a warning.
 SHIFTED_PART = 0.02
 SHIFT_PART, RIM_PART = 0.0035, 0.012
+# A camera's movement carries all of the pattern along, but for this part, which is badly tracked;
+# where a point lies nearer to the centre than this part of the radius, a turn does not show.
+_UNTRUE_PART, _TURNING_PART = 0.1, 0.3
 # A smaller turn or zoom is not worth a word beside the shift.
 _TOLD_DEG, _TOLD_ZOOM = 0.2, 0.005
 
@@ -192,6 +195,9 @@ class Drift:
     moved_px: float = (
         0.0  # greatest movement of a point of the visible circle by shift, turn and zoom together
     )
+    # What the movement has at least, since a contact leaves some of the skin in place: that of the
+    # part that moved least, as a shift, or a turn or zoom of the visible circle.
+    carried_px: float = 0.0
     row_px: float = 0.0  # shift of the circle's centre
     col_px: float = 0.0
     turn_deg: float = 0.0
@@ -258,6 +264,7 @@ def drift(reference: CameraLook, grey: U8) -> Drift:
     return replace(
         _movement(matrix, reference.disc),
         still_part=part,
+        carried_px=_carried_px(before, after, reference.disc),
         light=light,
         uneven=uneven,
         contrast=contrast,
@@ -281,6 +288,15 @@ def tracked(reference: CameraLook, grey: U8) -> tuple[F32, F32]:
     )
     tracked = status.ravel() > 0
     return reference.points[tracked], found[:, 0][tracked]
+
+
+def _carried_px(before: F32, after: F32, disc: Disc) -> float:
+    """How far points (N, 2), (col, row), moved at least, seen as a shift or a turn of the disc."""
+    away_px = np.hypot(*(before - np.array((disc.col_c, disc.row_c))).T)
+    far = away_px > _TURNING_PART * disc.radius_px
+    moved_px = np.hypot(*(after - before)[far].T)
+    at_rim_px = moved_px * disc.radius_px / away_px[far]
+    return float(np.quantile(at_rim_px, _UNTRUE_PART)) if at_rim_px.size else 0.0
 
 
 def _movement(matrix: F64, disc: Disc) -> Drift:
@@ -317,6 +333,18 @@ def shift_reason(found: Drift, disc: Disc) -> Reason | None:
 def shifted_too_far(found: Drift, disc: Disc) -> bool:
     """Whether the visible circle is too far from its calibrated place."""
     return found.moved_px > SHIFTED_PART * disc.radius_px
+
+
+def carried_too_far(found: Drift, disc: Disc) -> bool:
+    """The same for an image of a contact."""
+    return min(found.moved_px, found.carried_px) > SHIFTED_PART * disc.radius_px
+
+
+def carries_pattern(found: Drift, disc: Disc) -> bool:
+    """Whether all of the pattern moved further than a shift that counts: by a contact, some of the
+    skin stays in place, however much of a soft gel moves with the object.
+    """
+    return found.carried_px > SHIFT_PART * disc.radius_px
 
 
 def _window_px(pitch_px: float) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from support.calibrated_sensor import FULL, calibrated, references, sensor_of, simulated
@@ -257,3 +258,14 @@ def test_right_depths_that_look_like_travel_are_not_refused(
 ) -> None:
     found_mm, balls = right_depths(count, seed)
     assert zero_hint([factor * h for h in found_mm], balls, GEOMETRY) is None
+
+
+@pytest.mark.slow
+def test_a_shell_that_spreads_dents_is_not_taken_for_halved_radii() -> None:
+    geometry = calibrated(count=0).geometry
+    wider = [replace(o, ball_factor=math.hypot(o.ball_factor, 15 / o.radius_mm)) for o in seen()]
+    assert np.median([o.ball_factor for o in wider]) > 1.85
+    assert gross_mistakes(wider, geometry) == ()
+    halved = [replace(o, radius_mm=o.radius_mm / 2, ball_factor=2 * o.ball_factor) for o in wider]
+    (found,) = gross_mistakes(halved, geometry)
+    assert "are they halved?" in sentence(found)

@@ -14,6 +14,8 @@ from tacshade_edge.reasons import text_of
 from tacshade_edge.sensor.frame_check.camera_drift import (
     CameraLook,
     Drift,
+    carried_too_far,
+    carries_pattern,
     drift,
     look,
     shift_reason,
@@ -100,3 +102,23 @@ def test_good_presses_of_other_sensors_did_not_move_or_age() -> None:
         for press in presses(model, 10):
             found = drift(old, to_grey(press.image))
             assert shift_reason(found, calibration.geometry.disc) is found.light_reason is None
+
+
+def test_a_camera_carries_all_of_the_pattern_and_a_soft_gel_not(reference: CameraLook) -> None:
+    grey = to_grey(unloaded())
+    rows, cols = np.indices(grey.shape, np.float32)
+    row_c, col_c = DISC.row_c, DISC.col_c + 0.2 * DISC.radius_px
+    away_px = np.maximum(np.hypot(rows - row_c, cols - col_c), 1)
+    # A dent pushes the gel aside, by 4 px beside it and less and less to the disc's other side.
+    decay = np.exp(-1.5 * (away_px / DISC.radius_px) ** 2)
+    pushed = 4 * decay * np.minimum(away_px / (0.3 * DISC.radius_px), 1) / away_px
+    gel = cv2.remap(
+        grey, cols - pushed * (cols - col_c), rows - pushed * (rows - row_c), cv2.INTER_LINEAR
+    )
+    found = drift(reference, np.asarray(gel, np.uint8))
+    assert shifted_too_far(found, DISC)
+    assert not carried_too_far(found, DISC)
+    for row_px, turn_deg, zoom in ((4.0, 0, 1), (0, 2, 1), (0, 0, 0.97), (-3, 1, 1.01)):
+        found = drift(reference, warped(grey, row_px, 0.0, turn_deg, zoom))
+        assert carries_pattern(found, DISC)
+        assert carried_too_far(found, DISC) == shifted_too_far(found, DISC)
