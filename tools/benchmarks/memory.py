@@ -13,7 +13,8 @@ tenth, half and all of the frames:
 - own: anonymous pages (RssAnon), which the kernel cannot drop;
 - files: pages of the program and its libraries, which the kernel can drop and read again.
 
-The largest owners of resident pages follow, from /proc/PID/smaps.
+The largest owners of resident pages follow, from /proc/PID/smaps, and how much memory a process of
+this Python gains by importing one library after the other, before the daemon does anything.
 """
 
 from __future__ import annotations
@@ -40,10 +41,21 @@ from paho.mqtt.enums import CallbackAPIVersion
 from support.mqtt_rig import Broker
 from tacshade_edge.calibration.files import calibration_file
 from tacshade_edge.lab.demo.demo_hand import make_calibration
+from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import AUTO, DEFAULT, PROFILES
 from tools.testbed.daemon_rig import BASE, FIELDS, draw_rings, memory_mb
 
 TOP = 8
+IMPORTS = (
+    "sys",
+    "ssl",
+    "numpy",
+    "cv2",
+    "onnxruntime",
+    "paho.mqtt.client",
+    "tacshade_edge.daemon.app",
+)
+"""What `run` imports, the largest one by one."""
 SLOWEST_FPS = 1.0  # the bench gives up on a slower daemon
 
 
@@ -60,6 +72,30 @@ def owners_mb(pid: int) -> dict[str, float]:
         elif words[0] == "Rss:":
             pages[owner] += int(words[1])
     return {name: round(kb / 1024, 1) for name, kb in pages.most_common(TOP)}
+
+
+def imported_mb() -> list[tuple[str, float, float, float]]:
+    """For each of `IMPORTS`, after those before it: its name, and what a fresh process gains by it
+    in MiB, resident, own and of files; the first row is Python itself.
+    """
+    script = (
+        "import importlib, re, sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    importlib.import_module(name)\n"
+        "    status = open('/proc/self/status').read()\n"
+        "    print(name, *re.findall(r'(?:VmRSS|RssAnon|RssFile):\\s+(\\d+)', status))\n"
+    )
+    done = subprocess.run(
+        (sys.executable, "-c", script, *IMPORTS), stdout=subprocess.PIPE, text=True, check=True
+    )
+    rows, before = [], np.zeros(3)
+    for line in done.stdout.splitlines():
+        name, *words = line.split()
+        after = np.array(words, float) / 1024
+        resident, own, files = (after - before).round(1).tolist()
+        rows.append(("Python" if name == "sys" else name, resident, own, files))
+        before = after
+    return rows
 
 
 def write_images(folder: Path) -> None:
@@ -154,14 +190,18 @@ def main() -> int:
                 * (args.profile == AUTO)
             )
             result = measure(folder, config, broker.port, args.frames)
-    print(f"{'frames':>8}" + "".join(f"{name + ' MB':>13}" for name in FIELDS))
-    for count, memory in result["after"].items():
-        print(f"{count:>8}" + "".join(f"{memory[name]:>13.1f}" for name in FIELDS))
+    after = [
+        [str(count), *(f"{memory[name]:.1f}" for name in FIELDS)]
+        for count, memory in result["after"].items()
+    ]
+    print(markdown(["frames", *(f"{name} MB" for name in FIELDS)], after))
     print(
-        "largest owners, MB: "
+        "\nlargest owners, MB: "
         + ", ".join(f"{owner} {mb}" for owner, mb in result["owners_mb"].items())
     )
-    print(f"frames: {result['frames']}")
+    print(f"frames: {result['frames']}\n")
+    rows = [[name, *(f"{mb:.1f}" for mb in gained)] for name, *gained in imported_mb()]
+    print(markdown(["imported", "resident MB", "own MB", "files MB"], rows))
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n")
     return 0 if result["exit"] == 0 else 1
