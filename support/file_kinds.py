@@ -19,6 +19,7 @@ from support.bumpy_surface import grid_poses, press_of
 from support.networks import fitted_with
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration import loading
+from tacshade_edge.calibration.ageing.judge import COLUMNS, History
 from tacshade_edge.calibration.files import ageing_file, calibration_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.calibration.files.indenter_file import read_indenters
@@ -27,7 +28,6 @@ from tacshade_edge.calibration.files.press_table import read_presses
 from tacshade_edge.calibration.files.reference_file import LearntLimits, StoredReference, limited
 from tacshade_edge.calibration.files.sensor_file import read_sensor
 from tacshade_edge.calibration.inputs import Inputs, KnownPress, StatedSensor
-from tacshade_edge.calibration.reference.ageing import COLUMNS, History
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.images import read_image
 from tacshade_edge.files.meshes import read_stl, stl_bytes

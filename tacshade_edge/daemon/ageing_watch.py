@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tacshade_edge.calibration.files import ageing_file
-from tacshade_edge.calibration.reference.ageing import (
+from tacshade_edge.calibration.ageing.appearance import appearance
+from tacshade_edge.calibration.ageing.judge import (
     DAY_MAX,
     LIMITS,
     UNITS,
@@ -19,7 +19,7 @@ from tacshade_edge.calibration.reference.ageing import (
     judge,
     words,
 )
-from tacshade_edge.calibration.reference.appearance import appearance
+from tacshade_edge.calibration.files import ageing_file
 from tacshade_edge.errors import ConfigError, DeviceError
 from tacshade_edge.reasons import Reason, ReasonCode, reason_fields
 from tacshade_edge.types import U8, Calibration

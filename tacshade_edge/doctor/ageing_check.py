@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.calibration.files import ageing_file
-from tacshade_edge.calibration.reference.ageing import (
+from tacshade_edge.calibration.ageing.judge import (
     RECENT,
     Kind,
     date_of,
@@ -15,6 +14,7 @@ from tacshade_edge.calibration.reference.ageing import (
     shown,
     words,
 )
+from tacshade_edge.calibration.files import ageing_file
 from tacshade_edge.doctor import Findings, ok, warning
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.quoting import counted

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from support.resting_sensor import Resting
+from tacshade_edge.calibration.ageing.judge import RECENT
 from tacshade_edge.calibration.files import ageing_file
-from tacshade_edge.calibration.reference.ageing import RECENT
 from tacshade_edge.daemon import ageing_watch
 from tacshade_edge.daemon.ageing_watch import AgeingWatch
 from tacshade_edge.lab.simulator import camera_faults

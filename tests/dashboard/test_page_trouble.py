@@ -122,6 +122,27 @@ def test_every_lost_frame_counts_and_a_start_is_no_rate(
     shows(page, "n-latency-99", "670")
 
 
+def test_what_ages_is_named_with_its_date(
+    page: Chrome, address: str, sensor: PublishedSensor
+) -> None:
+    opened(page, address)
+    until_shown(page, sensor, lambda: bump(1, 1.5, 200, 300, step_px=4), 1)
+    unfold_health(page)
+    light = {"amount": 0.21, "limit": 0.5, "unit": "of the light", "until": "2027-04-20"}
+    gel = {"amount": 0.031, "limit": 0.2, "unit": "mm", "until": None}
+    ageing = {"days": 42, "ageing": ["light"], "wears": {"light": light, "gel": gel, "x": None}}
+    health = {"uptime_s": 9, "reference": {"state": "following", "ageing": ageing}}
+    sensor.publish("health", json.dumps(health).encode())
+    shows(page, "health-words", "ageing: light")
+    shows(page, "tables", "21 of 50 %, until 2027-04-20")
+    shows(page, "tables", "0.03 of 0.20 mm")
+    assert "following" in text(page, "tables")
+    ageing |= {"ageing": [], "wears": {}, "days": 3}
+    sensor.publish("health", json.dumps(health).encode())
+    wait_until(lambda: "ageing" not in text(page, "health-words"), 10, "no word")
+    shows(page, "tables", "days seen 3")
+
+
 def test_what_touches_is_unknown_while_frames_are_unusable(
     page: Chrome, address: str, sensor: PublishedSensor
 ) -> None:

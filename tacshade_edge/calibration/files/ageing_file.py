@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tacshade_edge.calibration.ageing.judge import COLUMNS, DAY_MAX, DAYS_MAX, History
 from tacshade_edge.calibration.files.reference_file import belongs_to
-from tacshade_edge.calibration.reference.ageing import COLUMNS, DAY_MAX, DAYS_MAX, History
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files import npz
 from tacshade_edge.files.atomic_files import disk_errors, write_whole

@@ -20,7 +20,7 @@ export function showHealth(health, asked, page) {
   const { uptime_s } = health ?? {}, { started, fps, p50 } = lasting(health ?? {}), of = Number.isFinite(asked) ? ` of ${number(asked, asked % 1 ? 1 : 0)}` : "";
   const words = [
     health && !started && "starting", number(fps, 1) && `${number(fps, 1)}${of} frames/s`, number(p50) && `${number(p50)} ms`,
-    ...losses(health ?? {}), Number.isFinite(uptime_s) && `up ${duration(uptime_s)}`,
+    ...losses(health ?? {}), ...ages(health?.reference?.ageing), Number.isFinite(uptime_s) && `up ${duration(uptime_s)}`,
   ];
   $("health-words").textContent = words.filter(Boolean).join(" · ");
   if ($("health").open) $("tables").replaceChildren(...tables(health ?? {}, page).filter(Boolean));
@@ -38,6 +38,19 @@ function losses({ frames, source_dropped = 0, recorder }) {
   ];
 }
 
+/** In words, what ages; nothing while nothing is worth a word. */
+const ages = (ageing) => (ageing?.ageing?.length ? [`ageing: ${ageing.ageing.join(", ")}`] : []);
+
+/** Each wear: how far it has come, and until when its limit is expected to hold. */
+function wears({ days, reason, wears }) {
+  const worn = Object.entries(wears ?? {}).map(([kind, wear]) => {
+    const { amount, limit, unit, until } = wear ?? {};
+    const [factor, digits, sign] = unit === "mm" ? UNITS.mm : [100, 0, "%"];
+    return [kind, `${number(factor * amount, digits)} of ${number(factor * limit, digits)} ${sign}${until ? `, until ${until}` : ""}`];
+  });
+  return [...worn, ["days seen", short(days)], ["no day is added", short(reason)]];
+}
+
 /** Draw one line per `status/<part>`: its state, its reason, then its details. */
 export function showParts(parts) {
   $("parts").replaceChildren(...[...parts].sort().map(([name, { state, reason, ...details }]) => {
@@ -49,7 +62,8 @@ export function showParts(parts) {
 
 function tables(health, page) {
   const { frames, latency_ms, stages_ms, uptime_s } = health, { started, settled } = lasting(health);
-  const others = Object.entries(health).filter(([key]) => !OWN.has(key) && (started || !key.endsWith("_fps")));
+  const { ageing, ...reference } = health.reference ?? {};
+  const others = Object.entries({ ...health, ...(health.reference ? { reference } : {}) }).filter(([key]) => !OWN.has(key) && (started || !key.endsWith("_fps")));
   const share = (count) => (frames.captured ? `${count} (${number((100 * count) / frames.captured)} %)` : String(count));
   const counted = frames ? Object.entries(FRAMES).filter(([key]) => frames[key]).map(([key, words]) => [words, share(frames[key])]) : [];
   const stages = Object.entries({ ...stages_ms, "total, until sent": latency_ms }).filter(([, stage]) => stage && started);
@@ -59,6 +73,7 @@ function tables(health, page) {
     table("Sensor", [["up", Number.isFinite(uptime_s) ? duration(uptime_s) : ""], ...facts(flat)]),
     table("Time per stage", stages.map(([key, { p50, p99 }]) => [key, ms(p50), settled ? ms(p99) : ""]), ["", "half within", "99 % within"]),
     ...others.filter(([, value]) => value && typeof value === "object").map(([key, value]) => table(TITLES[key] ?? key.replaceAll("_", " "), facts(value))),
+    ageing && table("Ageing", wears(ageing)),
     table("This page", page),
   ];
 }

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from tacshade_edge.calibration.reference.ageing import History
-from tacshade_edge.calibration.reference.appearance import appearance
+from tacshade_edge.calibration.ageing.appearance import Appearance, appearance
+from tacshade_edge.calibration.ageing.judge import History
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import Press, ball
-from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model
+from tacshade_edge.lab.studies.evaluate.work import REFERENCES, calibrated_sensor
 from tacshade_edge.types import F32, U8, Calibration
 from tools.testbed.simulator.wear import Wear, WornSensor
 
@@ -33,6 +34,7 @@ _SICK_PART = 0.05  # of the days have no look, besides weekends
 _WORK_DAYS = (0, 1, 4, 5, 6)  # of a week that begins on a Thursday
 _STEPS_PER_MM = 50
 _FRAMES = 10
+_SIZE = (240, 320)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,13 @@ class Day:
     zoom: float
     dirty: bool
     loaded: bool
+
+
+def calibrated_model(seed: int, presses: int) -> tuple[SensorModel, Calibration]:
+    """A new sensor of the simulator's family and its calibration. Raises ConfigError."""
+    model = random_model(seed, *_SIZE)
+    sensor = WornSensor(model, Wear())
+    return model, calibrated_sensor(sensor, seed, REFERENCES, presses).calibration
 
 
 def days_of(seed: int, count: int) -> Iterator[Day]:
@@ -80,23 +89,26 @@ def days_of(seed: int, count: int) -> Iterator[Day]:
 
 
 def history_of(
-    model: SensorModel,
-    calibration: Calibration,
-    seed: int,
-    days: Iterable[Day],
-    wear: Callable[[int], Wear],
-) -> Iterator[History]:
-    """The history after each of some days; `wear` is the sensor's wear on a day, counted from 0."""
+    model: SensorModel, calibration: Calibration, seed: int, days: Iterable[Day]
+) -> History:
+    """The history of a sound sensor over some days."""
     history = History.empty()
     for day in days:
-        now = wear(day.number - FIRST_DAY)
-        # A worn skin that has swollen back is less sunk; steps of 20 µm are drawn once.
-        sunk_mm = round((now.leaked_mm - day.swollen_mm) * _STEPS_PER_MM) / _STEPS_PER_MM
-        sensor = _averaged(model, replace(now, leaked_mm=sunk_mm))
+        # Skin that has swollen is less sunk; steps of 20 µm are drawn once.
+        sunk_mm = -round(day.swollen_mm * _STEPS_PER_MM) / _STEPS_PER_MM
+        sensor = _averaged(model, Wear(leaked_mm=sunk_mm))
         look = appearance(calibration, [_picture(sensor, day, seed)])
         if look is not None:
             history = history.with_day(day.number, look)
-            yield history
+    return history
+
+
+def worn_look(model: SensorModel, calibration: Calibration, wear: Wear, seed: int) -> Appearance:
+    """How a worn sensor looks beside its calibration's reference."""
+    sensor = _averaged(model, replace(wear, seed=seed))
+    look = appearance(calibration, [sensor.exposed(sensor.drawn(sensor.rest), seed)])
+    assert look is not None
+    return look
 
 
 @functools.lru_cache(maxsize=32)

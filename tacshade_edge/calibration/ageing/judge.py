@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from tacshade_edge.calibration.reference.appearance import Appearance
+from tacshade_edge.calibration.ageing.appearance import Appearance
 from tacshade_edge.types import F32, F64, I32, frozen
 
 DAYS_MAX: Final = 730
@@ -39,7 +39,9 @@ NAMED: Final[Mapping[Kind, float]] = {"light": 0.15, "markers": 0.15, "pins": 0.
 """The amount of each from which on it is named: more than a season and the days of a sound sensor
 bring."""
 RECENT: Final = 14
-"""Looks whose median counts: one may show an object that rests on the skin, or a cold lamp."""
+"""Looks whose median counts: one may show a cold lamp, or an object that rests on the skin."""
+# Bent pins show in every look; dirt and what rests on the skin come and go.
+_LASTING = 0.25
 # If pins, which no lamp reaches, have lost this part of what the markers have, the light has gone.
 _LIGHT_PART = 0.5
 _TREND_DAYS = 60
@@ -162,7 +164,7 @@ def _amounts(looks: F32) -> dict[Kind, F64]:
 
 
 def _wear(kind: Kind, days: I32, amounts: F64) -> Wear:
-    now = float(np.median(amounts[-RECENT:]))
+    now = float(np.quantile(amounts[-RECENT:], _LASTING if kind == "pins" else 0.5))
     per_day = _growth(days, amounts)
     if per_day is None:
         return Wear(kind, now, None, None)

@@ -11,8 +11,8 @@ import pytest
 
 from support.calibrated_sensor import HALF, calibrated, sensor_of
 from support.painted_sensor import FREE, painted_calibration
+from tacshade_edge.calibration.ageing.appearance import Appearance, appearance
 from tacshade_edge.calibration.calibrate import calibrate
-from tacshade_edge.calibration.reference.appearance import Appearance, appearance
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.sensor_model import flattened
 from tacshade_edge.types import Disc

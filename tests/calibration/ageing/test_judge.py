@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tacshade_edge.calibration.reference.ageing import (
+from tacshade_edge.calibration.ageing.appearance import Appearance
+from tacshade_edge.calibration.ageing.judge import (
     COLUMNS,
     DAYS_MAX,
     LIMITS,
@@ -19,7 +20,6 @@ from tacshade_edge.calibration.reference.ageing import (
     judge,
     words,
 )
-from tacshade_edge.calibration.reference.appearance import Appearance
 
 FIRST = 20_000
 SOUND = Appearance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
