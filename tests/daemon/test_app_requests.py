@@ -148,6 +148,8 @@ def test_the_reference_follows_a_light_that_ages_but_not_in_a_recording(
     with live.run(scripted(ageing())):
         wait_until(lambda: following().get("looks", 0) > 1, 10, "looks")
         assert (following()["state"], following()["renewals"]) == ("following", 0)
+        ageing_now = following()["ageing"]
+        assert (ageing_now["days"], ageing_now["ageing"], ageing_now["reason"]) == (1, [], "")
         assert live.ask("record", action="start", seconds=600, name="one")["ok"]
         age.set()
         wait_until(lambda: following()["state"] == "held", 10, "held")
