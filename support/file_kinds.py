@@ -19,7 +19,7 @@ from support.bumpy_surface import grid_poses, press_of
 from support.networks import fitted_with
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
 from tacshade_edge.calibration import loading
-from tacshade_edge.calibration.ageing.judge import COLUMNS, History
+from tacshade_edge.calibration.ageing.wears import COLUMNS, History
 from tacshade_edge.calibration.files import ageing_file, calibration_file, reference_file
 from tacshade_edge.calibration.files.calibration_file import packed
 from tacshade_edge.calibration.files.indenter_file import read_indenters

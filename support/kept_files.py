@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from support.painted_sensor import FREE, TOUCHED, painted_calibration
+from tacshade_edge.calibration.ageing.wears import COLUMNS, History
 from tacshade_edge.calibration.files import (
     ageing_file,
     calibration_file,
@@ -21,7 +22,6 @@ from tacshade_edge.calibration.files.capture_folder import CaptureFolder
 from tacshade_edge.calibration.files.labels import LabelFolder, LabelRow, read_labels
 from tacshade_edge.calibration.files.press_table import Stated
 from tacshade_edge.calibration.files.reference_file import StoredReference
-from tacshade_edge.calibration.ageing.judge import COLUMNS, History
 from tacshade_edge.recording.exports.table_export import csv_export, ply_export
 from tacshade_edge.recording.recording import RecordedFrame, Recording
 from tacshade_edge.recording.runs import RunWriter, payloads, read_summary

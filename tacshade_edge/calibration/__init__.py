@@ -3,7 +3,7 @@
 In: images, SENSOR.yaml, PRESSES.csv, LABELS.csv, INDENTERS.yaml. Out: a `Calibration`, CAL.npz and
     the files beside it.
 Threads: none.
-Other rooms use: `ageing.appearance`, `ageing.judge`, `calibrate`, `files.ageing_file`,
+Other rooms use: `ageing.appearance`, `ageing.wears`, `calibrate`, `files.ageing_file`,
     `files.calibration_file`, `files.capture_folder`, `files.indenter_file`, `files.labels`,
     `files.objects_file`, `files.press_table`, `files.reference_file`, `files.sensor_file`,
     `findings`, `indenters`, `inputs`, `loading`, `press_machine`, `presses.press_check`,

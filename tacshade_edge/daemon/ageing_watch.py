@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tacshade_edge.calibration.ageing.appearance import appearance
-from tacshade_edge.calibration.ageing.judge import (
+from tacshade_edge.calibration.ageing.wears import (
     DAY_MAX,
     LIMITS,
     UNITS,

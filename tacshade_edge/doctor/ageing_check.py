@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from tacshade_edge.calibration.ageing.judge import (
+from tacshade_edge.calibration.ageing.wears import (
     RECENT,
     Kind,
     date_of,

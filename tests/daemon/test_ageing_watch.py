@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from support.resting_sensor import Resting
-from tacshade_edge.calibration.ageing.judge import RECENT
+from tacshade_edge.calibration.ageing.wears import RECENT
 from tacshade_edge.calibration.files import ageing_file
 from tacshade_edge.daemon import ageing_watch
 from tacshade_edge.daemon.ageing_watch import AgeingWatch

@@ -9,7 +9,7 @@ import pytest
 
 from support.findings import checked
 from support.painted_sensor import painted_calibration
-from tacshade_edge.calibration.ageing.judge import COLUMNS, RECENT, History
+from tacshade_edge.calibration.ageing.wears import COLUMNS, RECENT, History
 from tacshade_edge.calibration.files import ageing_file
 from tacshade_edge.doctor.ageing_check import check_ageing
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import HALF, calibrated
-from tacshade_edge.calibration.ageing.judge import History, judge
+from tacshade_edge.calibration.ageing.wears import History, judge
 from tools.studies.ageing_years import SoundRow, YearRow, tables
 from tools.testbed.simulator.days import FIRST_DAY, days_of, history_of, worn_look
 from tools.testbed.simulator.wear import Wear

@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from tacshade_edge.calibration.ageing.judge import KINDS, History, Kind, judge
+from tacshade_edge.calibration.ageing.wears import KINDS, History, Kind, judge
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.studies.evaluate.work import one_thread
 from tacshade_edge.lab.studies.markdown import markdown

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacshade_edge.calibration.ageing.judge import COLUMNS, DAY_MAX, DAYS_MAX, History
+from tacshade_edge.calibration.ageing.wears import COLUMNS, DAY_MAX, DAYS_MAX, History
 from tacshade_edge.calibration.files.reference_file import belongs_to
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.files import npz

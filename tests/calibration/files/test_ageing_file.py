@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from support.painted_sensor import painted_calibration
-from tacshade_edge.calibration.ageing.judge import COLUMNS, DAYS_MAX, History
+from tacshade_edge.calibration.ageing.wears import COLUMNS, DAYS_MAX, History
 from tacshade_edge.calibration.files import ageing_file, reference_file
 from tacshade_edge.calibration.files.reference_file import belongs_to
 from tacshade_edge.errors import ConfigError, DeviceError

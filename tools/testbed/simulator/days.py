@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.calibration.ageing.appearance import Appearance, appearance
-from tacshade_edge.calibration.ageing.judge import History
+from tacshade_edge.calibration.ageing.wears import History
 from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel, random_model

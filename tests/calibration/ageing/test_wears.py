@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tacshade_edge.calibration.ageing.appearance import Appearance
-from tacshade_edge.calibration.ageing.judge import (
+from tacshade_edge.calibration.ageing.wears import (
     COLUMNS,
     DAYS_MAX,
     LIMITS,
