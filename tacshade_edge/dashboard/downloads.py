@@ -1,5 +1,5 @@
-"""Downloads of recordings, over HTTP with ranges or over a page's WebSocket: only a stall ends one,
-and none of them holds up a page.
+"""Downloads of recordings over HTTP, with ranges: only a stall ends one, and none of them
+holds up a page.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ READERS: Final = 2
 client holds none.
 """
 DOWNLOADS_MAX: Final = 8
-"""At once; any further one is refused (over HTTP with 503), so that places for pages are left."""
+"""At once; any further one is refused with 503, so that places for pages are left."""
 RETRY_S: Final = 10
 STALL_S: Final = 30.0
 """A download ends if its client takes no byte for so long, however slow it is otherwise."""
@@ -87,16 +87,6 @@ class Downloads:
             # Of a download that broke off, a file stays open until garbage is collected.
             # By a reader, as all that may block; if one is just reading, its end closes the file.
             self._readers.submit(pieces.close)
-
-    async def send(self, page: ServerConnection, tar: Tar) -> None:
-        """Send a tar as messages. Raises DeviceError; logs a stall and closes the connection."""
-        # Its answer would wait behind what a slow page has yet to read: the stall is judged here.
-        if page.keepalive_task is not None:
-            page.keepalive_task.cancel()
-        with _stalls(page, tar):
-            async with self._pieces(tar.pieces()) as pieces:
-                async for piece in pieces:
-                    await progressing(page, page.send(piece))
 
     async def answer(
         self, page: ServerConnection, tar: Tar, headers: Mapping[str, str], *, body: bool

@@ -35,7 +35,7 @@ PLAYED_AS: Final = "recording"
 """Sensor ID of a played recording on the broker."""
 _ASK_S: Final = 5.0
 _END_S: Final = 3.0
-_READ_ONLY: Final = ("list", "download")
+_READ_ONLY: Final = ("list",)
 _PARTS_MAX: Final = 2  # SENSOR/NAME with several sensors
 LISTED_MAX: Final = 200
 # A folder with more names is no folder of recordings; to look at each would block the server.
@@ -209,8 +209,6 @@ class RecordingCommands:
             raise DeviceError("read-only: this dashboard forwards no requests")
         if action == "list":
             await _answer(page, ok=True, recordings=await asyncio.to_thread(listed, folder))
-        elif action == "download":
-            await self._download(page, await asyncio.to_thread(find, folder, name))
         elif action == "delete":
             path = await asyncio.to_thread(find, folder, name)
             if self._played == str(path):
@@ -221,7 +219,7 @@ class RecordingCommands:
         elif action == "play":
             await self._play(page, await asyncio.to_thread(find, folder, name))
         else:
-            raise DeviceError("found an unknown action, expected list, download, delete or play")
+            raise DeviceError("found an unknown action, expected list, delete or play")
 
     async def download(self, page: ServerConnection, request: Request, name: str) -> None:
         """Answer an HTTP request for a recording's tar.
@@ -235,12 +233,6 @@ class RecordingCommands:
             body = getattr(request, "method", "GET") != "HEAD"
             asked = {key: request.headers[key] for key in ASKED if key in request.headers}
             await self._downloads.answer(page, tar, asked, body=body)
-
-    async def _download(self, page: ServerConnection, path: Path) -> None:
-        with self._downloads.place():
-            tar = await self._downloads.tar(path)
-            await _answer(page, ok=True, bytes=tar.size_bytes)
-            await self._downloads.send(page, tar)
 
     async def _play(self, page: ServerConnection, path: Path) -> None:
         """Play a recording for as long as the page keeps this connection open."""

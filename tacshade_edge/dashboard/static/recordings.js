@@ -4,6 +4,7 @@ import { cut } from "./bounds.js";
 import { counted, element, number } from "./panels.js";
 
 const FOLD_BYTES = 1 << 24; // the browser can move merged pieces out of the page's memory
+const RETRY_MS = 1000, GIVE_UP_MS = 30000; // as long as the server waits for a page that takes nothing
 const $ = (id) => document.getElementById(id);
 
 export class Recordings {
@@ -64,11 +65,11 @@ export class Recordings {
   async download(name, button) {
     button.disabled = true;
     try {
-      const whole = await fetchTar(name, (share) => this.say("wait", `${name}: ${number(100 * share)} %`));
+      const whole = await fetchTar(name, (bytes, of, isLost) => this.say("wait", `${name}: ${number((100 * bytes) / (of || 1))} %${isLost ? "; the connection was lost, trying again …" : ""}`));
       const link = element("a", { href: URL.createObjectURL(whole), download: `${name.replaceAll("/", "-")}.tar` });
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-      this.say("good", `downloaded ${name}, ${number(whole.size / 1e6, 1)} MB`);
+      this.say("good", `downloaded ${name}, ${megabytes(whole.size)}`);
     } catch (error) {
       this.say("bad", error.message);
     }
@@ -93,8 +94,10 @@ export class Recordings {
   }
 }
 
-/** Send a command. answered: the first answer; rejects with the error. closed: why the connection ended later; empty without an error. piece(data): called with binary data. */
-function command(asked, piece = () => {}) {
+const megabytes = (bytes) => `${number(bytes / 1e6, 1)} MB`;
+
+/** Send a command. answered: the first answer; rejects with the error. closed: why the connection ended later; empty without an error. */
+function command(asked) {
   const url = new URL("recordings", location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
@@ -102,7 +105,6 @@ function command(asked, piece = () => {}) {
   let error = "";
   socket.addEventListener("open", () => socket.send(JSON.stringify(asked)));
   socket.addEventListener("message", ({ data }) => {
-    if (typeof data !== "string") return piece(data);
     const answer = JSON.parse(data);
     if (answer.ok) return answered.resolve(answer);
     error = answer.error;
@@ -115,19 +117,39 @@ function command(asked, piece = () => {}) {
   return { socket, answered: answered.promise, closed: closed.promise };
 }
 
+/** The tar of a recording; goes on where its connection was lost. progress(bytes, of, isLost): called as bytes come, and when the connection is lost. */
 async function fetchTar(name, progress) {
-  let parts = [], fresh = 0, whole = 0, expected = 0;
-  const { answered, closed } = command({ action: "download", name }, (data) => {
-    parts.push(data);
-    whole += data.size;
-    fresh += data.size;
+  const url = new URL(`recordings/${name.split("/").map(encodeURIComponent).join("/")}.tar`, location.href);
+  let parts = [], fresh = 0, whole = 0, expected = 0, tag = "", came = performance.now();
+  const take = (piece) => {
+    parts.push(piece);
+    whole += piece.length;
+    fresh += piece.length;
+    came = performance.now();
     if (fresh < FOLD_BYTES) return;
     [parts, fresh] = [[new Blob(parts)], 0];
-    progress(whole / expected);
-  });
-  expected = (await answered).bytes;
-  progress(0);
-  const error = await closed;
-  if (error || whole !== expected) throw new Error(error || `${name}: the connection ended after ${number(whole / 1e6, 1)} of ${number(expected / 1e6, 1)} MB`);
+    progress(whole, expected, false);
+  };
+  while (!expected || whole < expected) {
+    try {
+      // Without the cache, which would keep a second copy on the disk.
+      const answer = await fetch(url, { cache: "no-store", headers: whole ? { Range: `bytes=${whole}-`, "If-Range": tag } : {} });
+      if (!answer.ok) throw new Error((await answer.text()).trim());
+      // Of a recording that has changed meanwhile, all of it comes.
+      if (answer.status === 200) [parts, fresh, whole, expected, tag] = [[], 0, 0, Number(answer.headers.get("Content-Length")), answer.headers.get("ETag")];
+      progress(whole, expected, false);
+      for (const reader = answer.body.getReader(); ;) {
+        const { done, value } = await reader.read();
+        if (done) break;
+        take(value);
+      }
+      if (whole === expected) break;
+    } catch (error) {
+      if (!(error instanceof TypeError)) throw error; // the others are the connection's
+    }
+    if (performance.now() - came > GIVE_UP_MS) throw new Error(expected ? `${name}: the connection ended after ${megabytes(whole)} of ${megabytes(expected)}` : "the dashboard’s server does not answer");
+    progress(whole, expected, true);
+    await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+  }
   return new Blob(parts, { type: "application/x-tar" });
 }
