@@ -227,7 +227,6 @@ OLDER = (
     "third-family",
     "touch",
     "arm",
-    "faults",
 )
 """Pages that could not be made again with the code, and say so at their top.
 

@@ -30,7 +30,6 @@ WITHOUT_FINGERPRINT = {
     "third-family",
     "touch",
     "arm",
-    "faults",
     "detection",
     "recognise",
 }
