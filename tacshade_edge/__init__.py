@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tacshade_edge.errors import ConfigError, DecodeError, DeviceError, TacshadeError
     from tacshade_edge.lab.mjcf.mujoco_sensor import MujocoSensor
+    from tacshade_edge.lab.mjcf.mujoco_stream import MujocoStream
     from tacshade_edge.library.frames import open, read, read_hand
     from tacshade_edge.library.result import Result, Results
     from tacshade_edge.library.run_messages import decode, decode_file
@@ -35,6 +36,7 @@ __all__ = [
     "HeightMessage",
     "Motion",
     "MujocoSensor",
+    "MujocoStream",
     "Pose",
     "Result",
     "Results",
@@ -58,6 +60,7 @@ __all__ = [
 _HOMES = {
     "errors": ("ConfigError", "DecodeError", "DeviceError", "TacshadeError"),
     "lab.mjcf.mujoco_sensor": ("MujocoSensor",),
+    "lab.mjcf.mujoco_stream": ("MujocoStream",),
     "library.frames": ("open", "read", "read_hand"),
     "library.subscriber": ("listen",),
     "library.run_messages": ("decode", "decode_file"),

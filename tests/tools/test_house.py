@@ -19,11 +19,14 @@ from tools.ci.house import (
 )
 
 OPEN_THE_LABORATORY = {
-    ("__init__.py", "lab.mjcf.mujoco_sensor"),
+    ("__init__.py", "lab.mjcf.mujoco_sensor.MujocoSensor"),
+    ("__init__.py", "lab.mjcf.mujoco_stream.MujocoStream"),
     ("camera/simulated_frames.py", "lab.pressed_file.PressedFile"),
     ("camera/simulated_frames.py", "lab.simulated_source.SimulatedSource"),
 }
-"""Sources of the settings, each inside the function that makes it."""
+"""Sources of the settings, each inside the function that makes it, and names of the library, which
+it imports when they are used.
+"""
 
 
 @pytest.mark.parametrize(

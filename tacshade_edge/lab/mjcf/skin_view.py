@@ -1,7 +1,7 @@
 """The cells of the disc map and the chart of the simulator's skin, each seen from the other. Pure.
 
-The skin's mechanics are the simulator's own (`lab.simulator.skin`), on a grid twice as coarse: its
-nodes are as far apart as the cells.
+The skin's mechanics are the simulator's own (`lab.simulator.skin`), on a coarser grid: its nodes
+are about as far apart as the cells.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tacshade_edge.lab.simulator.skin import (
 from tacshade_edge.sensor.geometry.disc import DiscRays, disc_rays, skin_points
 from tacshade_edge.types import F32, F64, Bool, Geometry, frozen
 
-STEPS_PER_SIZE: Final = 40
+STEPS_PER_SIZE: Final = 32
 _LEAST_SHARE = 0.5
 """Of the cells around a node that an object must reach for the node to feel it."""
 _TOUCHING_MM = 0.03

@@ -25,7 +25,7 @@ reach from one such step outside the skin to seven inside.
 """
 # Of the depth along a column, per step. Beside a wall, the depth hardly falls, or has only just
 # begun to: it said how far the wall is, and is only the least that may lie before the object's end.
-_LEAST_SLOPE, _SHARPEST_BEND = 0.3, 0.15
+_LEAST_SLOPE, _SHARPEST_BEND = 0.3, 0.3
 
 
 @frozen
