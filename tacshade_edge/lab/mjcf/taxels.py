@@ -25,7 +25,7 @@ reach from one such step outside the skin to seven inside.
 """
 # Of the depth along a column, per step. Beside a wall, the depth hardly falls, or has only just
 # begun to: it said how far the wall is, and is only the least that may lie before the object's end.
-_LEAST_SLOPE, _SHARPEST_BEND = 0.3, 0.3
+_LEAST_SLOPE = 0.3
 
 
 @frozen
@@ -76,10 +76,13 @@ def reached_mm(taxels: Taxels, depth_mm: F64) -> tuple[F32, F32]:
     bend = np.where(last > 1, here - 2 * before + earlier, 0.0)
     fall = before - here - bend / 2
     root = np.sqrt(np.maximum(fall * fall - 2 * bend * here, 0))
-    wall = (fall < _LEAST_SLOPE * gap) | (bend < -_SHARPEST_BEND * gap)
+    least_fall = _LEAST_SLOPE * gap
+    wall = (fall < least_fall) | ((last > 1) & (earlier - before < least_fall))
     wall &= last < shells - 1
-    steps = np.where(wall, here / gap, 2 * here / np.maximum(fall + root, _LEAST_SLOPE * gap))
-    # The next taxel is outside the object, but the last shell has none.
+    steps = np.where(wall, here / gap, 2 * here / np.maximum(fall + root, least_fall))
+    # Depth is a distance, and falls by a step per step at most. The next taxel is outside the
+    # object, but the last shell has none.
+    steps = np.maximum(steps, here / gap)
     steps = np.minimum(steps, np.where(last < shells - 1, 1.0, np.inf))
     least[taxels.cell[felt]] = taxels.below_mm[last] + gap * steps
     greatest[taxels.cell[felt]] = taxels.below_mm[last] + gap * np.where(wall, 1.0, steps)
