@@ -33,8 +33,11 @@ client holds none.
 DOWNLOADS_MAX: Final = 8
 """At once; any further one is refused with 503, so that places for pages are left."""
 RETRY_S: Final = 10
-STALL_S: Final = 30.0
-"""A download ends if its client takes no byte for so long, however slow it is otherwise."""
+STALL_S: Final = 120.0
+"""A download ends if its client takes no byte for so long, however slow it is otherwise. A client's
+kernel asks for more only when a sixteenth of its buffer is free, 2 MB of one of 32 MB: at
+256 kbit/s, once a minute.
+"""
 ASKED: Final = ("Range", "If-Range")
 """The headers that matter to `Downloads.answer`."""
 _RANGE: Final = re.compile(r"bytes=(\d{0,15})-(\d{0,15})", re.ASCII)
