@@ -205,6 +205,14 @@ PAGES = {
         code=("tacshade_edge/sensor/touch",),
         drawn=("touch.png",),
     ),
+    "ageing": Page(
+        {
+            "": "tools.studies.ageing years --sensors 21 --final",
+            "What wear costs": "tools.studies.ageing errors --sensors 3 --final",
+        },
+        profiles=("balanced", "accurate"),
+        code=("tacshade_edge/calibration/ageing",),
+    ),
     "growth": Page({"": "tools.benchmarks.growth"}),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),
     "faults": Page({"": "tools.faults table", "The test suite's trials": "tools.faults trials"}),

@@ -25,9 +25,8 @@ COLUMNS: Final = tuple(each.name for each in fields(Appearance))
 Kind = Literal["light", "markers", "pins", "gel"]
 KINDS: Final[tuple[Kind, ...]] = ("light", "markers", "pins", "gel")
 LIMITS: Final[Mapping[Kind, float]] = {"light": 0.5, "markers": 0.4, "pins": 0.03, "gel": 0.2}
-"""The amount of each wear up to which errors stay about within a quarter above a new sensor's, with
-the calibration's own reference. Light and white cost no accuracy until frames are refused soon
-after their limits.
+"""The amount of each wear up to which errors grow by about 0.1 mm or less (docs/results/ageing.md).
+Light and white cost little until frames are refused soon after their limits.
 """
 UNITS: Final[Mapping[Kind, str]] = {
     "light": "of the light",
