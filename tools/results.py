@@ -213,6 +213,9 @@ PAGES = {
         profiles=("balanced", "accurate"),
         code=("tacshade_edge/calibration/ageing",),
     ),
+    "mujoco": Page(
+        {"": "tools.studies.mujoco_presses"}, profiles=(), code=("tacshade_edge/lab/mjcf",)
+    ),
     "growth": Page({"": "tools.benchmarks.growth"}),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),
     "faults": Page({"": "tools.faults table", "The test suite's trials": "tools.faults trials"}),
