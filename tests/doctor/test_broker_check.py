@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from support.hostile_broker import HostileBroker
 from support.mqtt_rig import Broker, Subscriber, free_port
-from support.patience import wait_until
+from support.patience import patience, wait_until
 from tacshade_edge.doctor import Finding, ok
 from tacshade_edge.doctor.broker_check import (
     DaemonState,
@@ -194,12 +195,25 @@ def test_a_broker_that_refuses_the_daemons_will(tmp_path: Path, option: str, fix
 
 @pytest.mark.broker
 def test_a_broker_without_room(tmp_path: Path) -> None:
-    with (
-        Broker(tmp_path, more=("max_connections 1",)) as broker,
-        Subscriber(broker.port, f"{BASE}/#"),
-    ):
+    with Broker(tmp_path, more=("max_connections 1",)) as broker, ExitStack() as clients:
+        # mosquitto 2.0.11 counts one too few after a connection that ends without a word, such as
+        # that which waits for its start.
+        assert not all(clients.enter_context(a_client(broker.port)) for _ in range(4))
         found = trouble(broker.port)
     assert "max_connections" in found.fix
+
+
+@contextmanager
+def a_client(port: int) -> Iterator[bool]:
+    """A connected client; whether the broker accepts it."""
+    with socket.create_connection(("127.0.0.1", port), patience(10)) as client:
+        name = b"client-%d" % client.getsockname()[1]
+        body = b"\x00\x04MQTT\x04\x02\x00\x3c\x00" + bytes([len(name)]) + name
+        answer = b""
+        with suppress(ConnectionError):
+            client.sendall(b"\x10" + bytes([len(body)]) + body)
+            answer = client.recv(4)
+        yield bool(answer)
 
 
 def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,16 @@ def along_mm(results: ts.Results) -> float:
     return -1.0 if pose is None else pose.x_mm
 
 
+@pytest.fixture
+def children_heed_ctrl_c() -> Iterator[None]:
+    """Whatever a shell that started the tests in the background ignores, and its children too."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.broker
+@pytest.mark.usefixtures("children_heed_ctrl_c")
 def test_the_program_for_a_board_follows_the_simulated_surface(
     sensor_xml: Path, tmp_path: Path
 ) -> None:
@@ -85,7 +95,10 @@ def test_the_program_for_a_board_follows_the_simulated_surface(
                 follow = [*python, "tools.examples.servo.follow_surface", *words]
                 programs.append(subprocess.Popen(follow))
                 wait_until(lambda: along_mm(results) > 1, 120)
-        finally:
             for program in reversed(programs):
                 program.send_signal(signal.SIGINT)
                 assert program.wait(patience(20)) == 0
+        finally:
+            for program in programs:
+                program.kill()
+                program.wait()
