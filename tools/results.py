@@ -228,7 +228,6 @@ OLDER = (
     "recognise",
     "limits",
     "paper",
-    "tradeoff",
     "image-size",
     "daemon",
     "real-frames",
