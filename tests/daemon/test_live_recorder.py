@@ -142,10 +142,8 @@ def test_the_time_ends_it_and_a_later_frame_is_not_in_it(live: Live) -> None:
     assert (status["frames"], status["ending"]) == (2, str(TIME))
 
 
-@pytest.mark.usefixtures("short_queue")
-def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def held_in_first_write(live: Live, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Begin a recording whose writer holds the first frame until the event is set."""
     go_on, writing = threading.Event(), threading.Event()
     real = RecordingWriter.add
 
@@ -158,6 +156,14 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
     live.begin()
     live.give(*frames(1))
     assert writing.wait(patience(20))
+    return go_on
+
+
+@pytest.mark.usefixtures("short_queue")
+def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = held_in_first_write(live, monkeypatch)
     live.give(*frames(7, 1))  # the first is in the writer's hands, three wait
     assert live.recorder.health() == {"written": 0, "dropped": 4, "waiting": 4}
     live.recorder.event("still there")
@@ -171,18 +177,7 @@ def test_a_disk_that_is_too_slow_loses_frames_and_counts_them(
 def test_a_frame_larger_than_the_queue_does_not_keep_a_recording_from_its_end(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go_on, writing = threading.Event(), threading.Event()
-    real = RecordingWriter.add
-
-    def slow(self: RecordingWriter, frame: Frame, png: bytes) -> bool:
-        writing.set()
-        assert go_on.wait(patience(20))
-        return real(self, frame, png)
-
-    monkeypatch.setattr(RecordingWriter, "add", slow)
-    live.begin()
-    live.give(*frames(1))
-    assert writing.wait(patience(20))
+    go_on = held_in_first_write(live, monkeypatch)
     large = np.zeros((4500, 4500), np.uint8)
     assert large.nbytes > record_thread.QUEUE_BYTES + live_recorder.EVENTS_RESERVE_BYTES
     live.give(Frame(1, 1001, 6, large))

@@ -37,7 +37,7 @@ _UNIT_FACTOR = 4.0
 _UNITS = {"cm": 10.0, "inches": 25.4, "m": 1000.0}
 _BALL_FACTORS = (0.7, 1.85)
 # Balls whose radii differ by less show no spread. Of an infinite size, good ones would look 1.0,
-# 1.1 and 1.5 times as large on three oblate shells, those of halved radii about twice.
+# 1.1 and over 1.5 times as large on three oblate shells, and those of halved radii twice that.
 _LEAST_SIZES, _SPREAD_BALL = 1.5, 1.5
 # If all stated depths are too great by a constant, balls look smaller, and depths as much. Balls
 # over depths are 0.96 or more for depths 0.7 or 1 mm too great, 0.58 or less for diameters.
