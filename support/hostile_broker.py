@@ -44,6 +44,7 @@ BAD = b"".join(map(publish, BAD_TOPICS))
 class HostileBroker:
     """It grants each subscription with `extra_codes` reason codes too many and sends `raw`
     after it; it denies the first `denied` topics of each.
+    It grants nothing while `may_grant` is not set.
 
     It ends a connection that publishes more than `bytes_max`, and answers others of QoS 1
     with `code`; with `echo`, it sends these back. `early` comes with the first packet, and each of
@@ -64,6 +65,8 @@ class HostileBroker:
         self._bytes_max, self._code, self._echo = bytes_max, code, echo
         self._raw, self._extra, self.connects = b"".join(raw), extra_codes, 0
         self._denied, self._early, self._cuts = denied, early, iter(cuts)
+        self.may_grant = threading.Event()
+        self.may_grant.set()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self._peers: list[socket.socket] = []
@@ -104,6 +107,7 @@ class HostileBroker:
                 if kind == 0x10:
                     send(packet(0x20, b"\0\0\0") + self._early)
                 elif kind == 0x82:
+                    self.may_grant.wait()
                     granted = bytes(_filters(body) + self._extra - self._denied)
                     codes = b"\x87" * self._denied + granted
                     send(packet(0x90, body[:2] + b"\0" + codes) + self._raw)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.reasoncodes import ReasonCode as MqttCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
@@ -116,7 +115,7 @@ class _Session:
         deadline_s = time.monotonic() + _ANSWER_S
         # paho without its thread: here it is asked, so that nothing happens behind the check.
         while not done() and time.monotonic() < deadline_s:
-            if self.client.loop(0.05) != MQTTErrorCode.MQTT_ERR_SUCCESS:
+            if not self.client.step(0.05):
                 return False
         return True
 

@@ -174,7 +174,9 @@ class MqttLink:
         self._session.start()
 
     def wait_until_settled(self, timeout_s: float) -> None:
-        """Wait until the broker has accepted us, or it is known why it has not."""
+        """Wait until the broker has answered our subscriptions, or it is known why it has not
+        accepted us.
+        """
         self._settled.wait(timeout_s)
 
     def stop(self, timeout_s: float) -> None:
@@ -268,6 +270,8 @@ class MqttLink:
     def _subscribed(self, codes: list[MqttCode]) -> None:
         for topic, code in zip(("req/+", *self._watched), codes, strict=False):
             self._outgoing.note(topic, 0, code)
+        # Not as soon as it accepts us: until then, it drops the requests of other connections.
+        self._settled.set()
 
     # ----------------------------------------------------------------------------------------------
 
@@ -282,7 +286,7 @@ class MqttLink:
         if reason == self._reason:
             return
         self._reason = reason
-        if reason is None or reason.code is not ReasonCode.STARTING:
+        if reason is not None and reason.code is not ReasonCode.STARTING:
             self._settled.set()
         if reason and fix:
             _log.warning("%s", with_fix(reason, fix))

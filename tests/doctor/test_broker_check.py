@@ -196,24 +196,24 @@ def test_a_broker_that_refuses_the_daemons_will(tmp_path: Path, option: str, fix
 @pytest.mark.broker
 def test_a_broker_without_room(tmp_path: Path) -> None:
     with Broker(tmp_path, more=("max_connections 1",)) as broker, ExitStack() as clients:
-        # mosquitto 2.0.11 counts one too few after a connection that ends without a word, such as
-        # that which waits for its start.
-        assert not all(clients.enter_context(a_client(broker.port)) for _ in range(4))
+        # Two have room: mosquitto 2.0.11 counts one too few after a connection that ends without a
+        # word, as that which waits for its start. It may notice that end only after the first.
+        for _ in range(4):
+            clients.enter_context(a_client(broker.port))
         found = trouble(broker.port)
     assert "max_connections" in found.fix
 
 
 @contextmanager
-def a_client(port: int) -> Iterator[bool]:
-    """A connected client; whether the broker accepts it."""
+def a_client(port: int) -> Iterator[None]:
+    """A client that stays connected if the broker accepts it."""
     with socket.create_connection(("127.0.0.1", port), patience(10)) as client:
         name = b"client-%d" % client.getsockname()[1]
         body = b"\x00\x04MQTT\x04\x02\x00\x3c\x00" + bytes([len(name)]) + name
-        answer = b""
         with suppress(ConnectionError):
             client.sendall(b"\x10" + bytes([len(body)]) + body)
-            answer = client.recv(4)
-        yield bool(answer)
+            client.recv(4)
+        yield
 
 
 def test_a_broker_that_ends_the_connection_after_a_large_message() -> None:

@@ -4,6 +4,7 @@ daemon, bridges, requests, library and the client's wheel.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -51,6 +52,24 @@ def test_a_daemon_counts_a_bad_topic_and_takes_a_suback_with_any_number_of_codes
         assert rig.link.counters()["bad_requests"] == len(BAD_TOPICS)
         assert rig.link.connected
         assert broker.connects == 2  # the guard of the client's id is the first
+        rig.link.stop(2)
+
+
+def test_a_link_has_settled_only_when_the_broker_hears_its_requests() -> None:
+    settled = threading.Event()
+    with HostileBroker() as broker:
+        broker.may_grant.clear()
+        rig = Rig(broker.port)
+
+        def wait() -> None:
+            rig.link.wait_until_settled(patience(10))
+            settled.set()
+
+        threading.Thread(target=wait, daemon=True).start()
+        rig.connect()
+        assert not settled.wait(0.1)
+        broker.may_grant.set()
+        assert settled.wait(patience(5))
         rig.link.stop(2)
 
 
