@@ -236,6 +236,7 @@ OLDER = (
     "fit",
     "third-family",
     "touch",
+    "tradeoff",
     "arm",
 )
 """Pages that could not be made again with the code, and say so at their top.
