@@ -23,8 +23,9 @@ from tacshade_edge.sensor.image.preprocess import (
     Preprocessor,
     halved_image,
 )
+from tacshade_edge.sensor.image.white import median
 from tacshade_edge.sensor.profiles import Profile
-from tacshade_edge.types import U8, Calibration, Disc
+from tacshade_edge.types import F32, U8, Calibration, Disc
 
 UNCHANGED_LEVELS = 8.0
 """Greatest change of a pixel under camera noise of 2 levels: means of 2x2 px differ by at most 6,
@@ -92,9 +93,25 @@ class Look:
         return self._eye.seen.preprocess(self.grey, self._eye.seen_space)
 
     @cached_property
+    def change_grey(self) -> F32:
+        """The change of eq. 1 since the reference, at the cells that vote."""
+        seen = self._eye.seen
+        return seen.change_grey(seen.ratio(self.white.white))
+
+    @cached_property
     def drift_grey(self) -> float:
         """The common change of eq. 1 since the reference."""
-        return self._eye.seen.drift_grey(self._eye.seen.ratio(self.white.white))
+        return median(self.change_grey) if self.change_grey.size else 0.0
+
+    @cached_property
+    def is_clear(self) -> bool:
+        """Whether what is measured of the white neither refuses nor degrades the picture."""
+        change, limit = self.change_grey, np.float32(picture.DRIFT_LEVELS)
+        # The median is within the limit where less than half is beyond it on each side, which is
+        # counted faster than the median is found.
+        few = max(change.size - 1, 0) // 2
+        beyond = max(np.count_nonzero(change > limit), np.count_nonzero(change < -limit))
+        return self.white.unseen == 0 and bool(beyond <= few)
 
     @cached_property
     def white_judged(self) -> tuple[Measured, ...]:
@@ -102,14 +119,29 @@ class Look:
         return picture.white_measured(self.white.unseen, self.drift_grey)
 
     @cached_property
+    def white_reason(self) -> Reason | None:
+        """Why the white is refused."""
+        return None if self.is_clear else first_reason(self.white_judged)
+
+    @cached_property
     def degraded(self) -> Reason | None:
         """Why the picture is degraded, if it is not refused."""
+        if self.is_clear:
+            return None
         return picture.degraded_reason(self.white.unseen, self.drift_grey)
 
     @cached_property
     def changed_part(self) -> float:
         """The part of the picture that changed since the reference."""
         return self._eye.gate.changed_part(self.white)
+
+    @cached_property
+    def _least_changed_part(self) -> float:
+        return self._eye.gate.least_changed_part(self.change_grey)
+
+    def changes(self, part: float) -> bool:
+        """Whether at least this part of the picture changed."""
+        return self._least_changed_part >= part or self.changed_part >= part
 
     @cached_property
     def own_white(self) -> Preprocessed:

@@ -51,7 +51,6 @@ STAGES = ("check", "grey", "gate", "denoise", "depth", "shear", "cloud", "sigma"
 Namer = Callable[[Reconstruction], tuple[TouchedObject, ...]]
 """Gives the objects of a frame in contact the names that were taught."""
 
-
 FeatureObserver = Callable[[F32], None]
 """Receives the features of each touch, for learning a touch model."""
 
@@ -78,8 +77,8 @@ class Reconstructor:
     be a contact's dent is no touch for a few seconds. `touch` is the profile's model, the reason
     why it cannot be used, or what observes the features of each requested touch. A model may see
     less change than the gate requires of a contact. `grid` and `rays` are those of every height
-    map, `changed_part` is the part of the picture that changed in the latest frame; `namer` names
-    the objects, if any were taught; `quantities` are those that a touch can have, or why not.
+    map, `changed_part` is the part of the picture that changed in the latest observed frame;
+    `namer` names the objects, if any were taught; `quantities` are those of a touch, or why not.
     """
 
     def __init__(
@@ -125,7 +124,6 @@ class Reconstructor:
     def _without_touch(self, *, has_shear: bool) -> Reconstruction:
         """The result of the untouched skin."""
         zero_mm = self._zero_mm
-        no_sigma_mm = np.full(zero_mm.shape, np.nan, np.float32)
         no_points = ObjectCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint16))
         return Reconstruction(
             seq=0,
@@ -140,7 +138,7 @@ class Reconstructor:
             height=self._map(zero_mm, np.zeros(zero_mm.shape, dtype=bool)),
             cloud=no_points,
             shear_mm=self._zero_shear_mm if has_shear else None,
-            sigma_mm=None if self._sigma is None else no_sigma_mm,
+            sigma_mm=None if self._sigma is None else zero_mm + np.float32(np.nan),
         )
 
     @overload
@@ -163,7 +161,7 @@ class Reconstructor:
             return answer
         # So much changed that no network need say whether something touches: who asks only that
         # gets the answer without one.
-        if need == Need.CONTACT and look.changed_part >= SURE_PART:
+        if need == Need.CONTACT and look.changes(SURE_PART):
             if self._detector is not None:
                 self._detector.contact(frame.t_ns, math.inf)  # nobody asks how deep
             return None
@@ -193,19 +191,21 @@ class Reconstructor:
         if unchanged:
             return self._empty(frame, degraded=self._unchanged.degraded)
         if reason is None:
-            reason = first_reason(look.white_judged)
+            reason = look.white_reason
             mark("grey")
         return None if reason is None else self._empty(frame, reason=reason)
 
     def _gated(self, frame: Frame, look: Look, need: Need, mark: Mark) -> Reconstruction | None:
         """The answer to a frame whose picture changed too little for anything to touch."""
-        self.changed_part = look.changed_part
-        mark("gate")
         # A touch model was learnt from less change than a contact needs.
         least = self.gate_part
         if Need.TOUCH in need:
             least = min(least, self._touch_part)
-        if look.changed_part >= least:
+        if self._learns:
+            self.changed_part = look.changed_part
+        changes = look.changes(least)
+        mark("gate")
+        if changes:
             return None
         if self._is_quiet(look):
             self._unchanged.keep(look.grey, look.degraded)
@@ -240,7 +240,7 @@ class Reconstructor:
         height_mm = np.minimum(depth.height_mm, np.float32(geometry.height_max_mm)) + self._zero_mm
         contact = contact_of(depth, inside, self.profile.outline)
         objects = None
-        if look.changed_part >= self.gate_part:
+        if look.changes(self.gate_part):
             objects = find_objects(
                 contact, height_mm, shear_mm, self.rays, geometry, depth.contact_logit
             )
@@ -253,12 +253,12 @@ class Reconstructor:
         solver, detector = self._solver, self._detector
         if detector is None or not isinstance(solver, LearnedSolver):
             return None
-        white = solver.fine_white(look.own_white)
         if made.objects is None:
             if made.degraded and made.degraded.code is not ReasonCode.UNTRUSTED:
                 return None
+            white = solver.fine_white(look.own_white)
             return detector.felt(frame.t_ns, made.depth, white, look.changed_part, look.lift)
-        moving = detector.moving(made.depth, white)
+        moving = detector.moving(made.depth, lambda: solver.fine_white(look.own_white))
         if moving is None:
             depth_mm = max(each.depth_max_mm for each in made.objects.described)
             detector.contact(frame.t_ns, depth_mm)
@@ -316,7 +316,7 @@ class Reconstructor:
 
     def _measured(self, look: Look) -> tuple[Measured, ...]:
         made = look.measured
-        if first_reason(made) is None and look.changed_part >= self.gate_part:
+        if first_reason(made) is None and look.changes(self.gate_part):
             depth = self._solver.solve(look.own_white, no_mark)
             made += foreign_skin.map_measured(depth.untrusted_logit, self.rays.inside)
         return made

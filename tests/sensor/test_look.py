@@ -10,8 +10,10 @@ import pytest
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, simulated, unloaded
 from tacshade_edge.lab.simulator.press import Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
+from tacshade_edge.sensor.frame_check import first_reason
+from tacshade_edge.sensor.frame_check.picture import DRIFT_LEVELS, degraded_reason
 from tacshade_edge.sensor.inference.network import make_reconstructor
-from tacshade_edge.sensor.look import UNCHANGED_LEVELS, UnchangedSkin
+from tacshade_edge.sensor.look import UNCHANGED_LEVELS, Eye, Look, UnchangedSkin
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Frame, Need, Reconstruction
@@ -111,3 +113,19 @@ def test_one_pixel_decides(levels: float, shown: bool, halved: bool) -> None:
     memory.keep(grey, None)
     grey[row : row + (1 if halved else 2), col : col + (1 if halved else 2)] = 100 + levels
     assert memory.shown_in(grey) is shown
+
+
+@pytest.mark.parametrize("levels", [0.0, 11.9, 12.1, -12.1, 29.9, 30.1])
+@pytest.mark.parametrize("cells", [0, 1, 2, 101, 102])
+def test_a_common_change_is_judged_by_its_median(levels: float, cells: int) -> None:
+    eye = Eye(calibrated(), PROFILES["fast"], with_network=True)
+    look = Look(eye, unloaded())
+    change = np.linspace(-50, 50, cells, dtype=np.float32) if cells > 1 else np.zeros(cells)
+    look.__dict__["change_grey"] = change.astype(np.float32) + np.float32(levels)
+    assert (look.white_reason, look.degraded) == (
+        first_reason(look.white_judged),
+        degraded_reason(look.white.unseen, look.drift_grey),
+    )
+    # It may ask for the median that is within the limit, but seldom does.
+    assert not look.is_clear or abs(look.drift_grey) <= DRIFT_LEVELS
+    assert look.is_clear or levels or cells == 2

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tacshade_edge.reasons import Reason, ReasonCode
-from tacshade_edge.sensor.contact.motion import WhiteChange
+from tacshade_edge.sensor.contact.motion import MOVED_ERROR, WhiteChange
 from tacshade_edge.sensor.contact.rest import Evidence
 from tacshade_edge.sensor.depth.solver import Depth
 from tacshade_edge.types import F32, Bool, RestLimits
@@ -41,7 +41,7 @@ class TouchDetector:
     def __init__(self, change: WhiteChange, inside: Bool, limits: RestLimits | None) -> None:
         self._limits = limits
         self._change = change
-        self._inside = np.flatnonzero(inside)
+        self._disc, self._inside = inside, np.flatnonzero(inside)
         self._pressed = math.ceil(PRESSED_PART * len(self._inside))
         self._contact_ns: int | None = None  # of the latest contact, and how deep it went
         self._contact_mm = 0.0
@@ -66,17 +66,15 @@ class TouchDetector:
         # Times that stand still or go back are single pictures or another recording.
         return last_ns is None or not 0 < t_ns - last_ns <= DENT_S * 1e9
 
-    def moving(self, depth: Depth, white: F32) -> Reason | None:
+    def moving(self, depth: Depth, white: Callable[[], F32]) -> Reason | None:
         """Why a contact is only a motion of the tip;
         None if it is a contact, as whatever goes beyond the rest.
         """
-        motion = self._motion(white)
-        limits = self._limits
         # Limits add touches and take no contact away (docs/decisions/0015-rest.md): of a contact
         # that goes beyond the rest, a motion of the whole pattern is no excuse.
-        if motion is None or limits is None or self._height_mm(depth) <= limits.height_mm:
-            return motion
-        return None
+        if self._limits is not None and self._is_higher(depth, self._limits.height_mm):
+            return None
+        return self._motion(white())
 
     def felt(
         self,
@@ -125,6 +123,9 @@ class TouchDetector:
         """How the tip moves; None if it does not, or if the motion leaves a local change."""
         # A sensor's own rest shows what a sway leaves, beyond what those of other sensors did.
         most = LOCAL if self._limits is None else self._limits.local_change
+        # Few contacts move the pattern so far, and this is every other.
+        if self._change.moved_radii(white) < MOVED_RADII - MOVED_ERROR:
+            return None
         motion = self._change.motion(white)
         far = motion.explained >= MOVING_PART and motion.moved_radii >= MOVED_RADII
         if not far or self._change.local(white) > most:
@@ -134,6 +135,16 @@ class TouchDetector:
         return Reason(
             ReasonCode.TIP_MOVING, f"the tip moves by {moved}, which explains {explained}"
         )
+
+    def _is_higher(self, depth: Depth, limit_mm: float) -> bool:
+        """Whether `_height_mm` is above the limit."""
+        # So many cells above it are enough, which is faster than to find the highest; their mean is
+        # rounded by less than this margin.
+        above: Bool = depth.height_mm > np.float32(1.001 * limit_mm + 1e-6)
+        above &= self._disc
+        if int(np.count_nonzero(above)) >= max(self._pressed, 1):
+            return True
+        return self._height_mm(depth) > limit_mm
 
     def _height_mm(self, depth: Depth) -> float:
         """The mean height of the most pressed part of the disc."""

@@ -100,6 +100,7 @@ class Preprocessor:
         reference = self.window.cut(calibration.reference_white)
         self.reference_white = self.integrator.integrate(reference)
         self.reference_g: F32 = self.ratio(self.reference_white) / np.float32(255)
+        self._reference_voted = self.voted(self.reference_g)
         self._reference_binary: U8 = (reference > HALF_WHITE).astype(np.uint8)
         self.cell_mm2 = (profile.stride_px * geometry.mm_per_px) ** 2
 
@@ -160,7 +161,11 @@ class Preprocessor:
         """Median change of eq. 1 since the reference:
         a change of light affects every cell, a contact only some.
         """
-        return median(self.voted(g) - self.voted(self.reference_g)) if self._voters.size else 0.0
+        return median(self.change_grey(g)) if self._voters.size else 0.0
+
+    def change_grey(self, g: F32) -> F32:
+        """The change of eq. 1 since the reference, -255 to 255, at the cells that vote, (N,)."""
+        return self.voted(g) - self._reference_voted
 
 
 @frozen

@@ -71,13 +71,13 @@ def test_faint_glare_is_no_touch() -> None:
 def test_a_contact_is_one_unless_a_motion_explains_it() -> None:
     moved = pattern(turn=0.03)
     for one in (detector(None), detector()):
-        assert one.moving(depth(0.01), pattern() + bump()) is None
-        assert code(one.moving(depth(0.01), moved)) is ReasonCode.TIP_MOVING
-        assert one.moving(depth(0.01), moved + bump()) is None
-        assert one.moving(depth(0.01), pattern(turn=0.02)) is None
+        assert one.moving(depth(0.01), lambda: pattern() + bump()) is None
+        assert code(one.moving(depth(0.01), lambda: moved)) is ReasonCode.TIP_MOVING
+        assert one.moving(depth(0.01), lambda: moved + bump()) is None
+        assert one.moving(depth(0.01), lambda: pattern(turn=0.02)) is None
     # What goes beyond a rest that showed the tip's motions is a contact.
-    assert detector().moving(depth(0.5), moved) is None
-    assert code(detector(None).moving(depth(0.5), moved)) is ReasonCode.TIP_MOVING
+    assert detector().moving(depth(0.5), lambda: moved) is None
+    assert code(detector(None).moving(depth(0.5), lambda: moved)) is ReasonCode.TIP_MOVING
 
 
 def test_a_contact_leaves_a_dent_for_a_while() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from support.calibrated_sensor import FULL, HALF, TACTIP, calibrated, pressed, unloaded
@@ -37,6 +38,21 @@ def test_the_gate_closes_on_a_skin_at_rest_and_opens_on_a_faint_press(model: Sen
     ):
         assert changed_part(at_rest, model) < GATE_PART
     assert changed_part(pressed("ball", 0.3, model).image, model) > GATE_PART
+
+
+@pytest.mark.parametrize("model", [HALF, TACTIP], ids=["half", "tactip"])
+def test_the_white_shows_no_more_change_than_there_is(model: SensorModel) -> None:
+    calibration = calibrated(model, 0)
+    seen = gate_preprocessor(calibration, Preprocessor(calibration, PROFILES["accurate"]))
+    gate, free = ContactGate(seen), unloaded(model)
+    noise = np.random.default_rng(1).integers(0, 256, free.shape, dtype=np.uint8)
+    touched = [pressed(name, mm, model).image for name in ("ball", "edge") for mm in (0.3, 2.0)]
+    for image in (free, 255 - free, noise, noise * 0, camera_faults.gain(free, 1.4), *touched):
+        white = seen.preprocess(seen.grey(image))
+        least = gate.least_changed_part(seen.change_grey(seen.ratio(white.white)))
+        assert least <= gate.changed_part(white)
+    # It decides on a press without the exact part.
+    assert least > gate.least_part
 
 
 @pytest.mark.parametrize("name", ["ball", "plate"])

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from support.examples import examples
 from support.pin_pattern import N, X, Y, disc, pattern
-from tacshade_edge.sensor.contact.motion import WhiteChange
+from tacshade_edge.sensor.contact.motion import MOVED_ERROR, WhiteChange
+from tacshade_edge.types import Bool
 
 
 def change() -> WhiteChange:
@@ -54,3 +58,29 @@ def test_a_pattern_without_gradient_shows_no_motion() -> None:
     assert abs(WhiteChange(flat, disc()).local(flat)) < 1e-6
     nowhere = WhiteChange(flat, np.zeros((N, N), bool))
     assert (nowhere.motion(pattern()).explained, nowhere.local(pattern())) == (0, 0)
+
+
+@examples(25)
+@given(
+    st.sampled_from(["pattern", "turned", "noise", "black", "white"]),
+    st.sampled_from(["disc", "beyond the end", "nothing"]),
+    st.integers(0, 2**32 - 1),
+)
+def test_how_far_it_goes_is_known_within_its_bound(kind: str, where: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    inside: Bool = {
+        "disc": disc(),
+        # The smoothing of what is inside reaches where the picture ends.
+        "beyond the end": np.hypot(X - rng.uniform(-0.8, 0.8), Y + 0.5) < 1.2,
+        "nothing": np.zeros((N, N), bool),
+    }[where]
+    white = {
+        "pattern": pattern(*rng.uniform(-0.05, 0.05, 3), rng.uniform(0.5, 1.5)),
+        "turned": pattern(turn=0.3),
+        "noise": rng.random((N, N), np.float32),
+        "black": np.zeros((N, N), np.float32),
+        "white": np.ones((N, N), np.float32),
+    }[kind]
+    one = WhiteChange(pattern(), inside)
+    found = one.motion(white).moved_radii
+    assert abs(one.moved_radii(white) - found) <= MOVED_ERROR
