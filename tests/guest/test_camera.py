@@ -66,6 +66,7 @@ def camera(webcam: None) -> Iterator[V4l2Source]:
 def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
     fps = kept_fps()
     camera = source(fps=30 if fps == FPS else fps)
+    began_ns = time.monotonic_ns()
     with handed_over() as handed:
         camera.open()
         frames = [camera.read() for _ in range(50)]
@@ -90,8 +91,9 @@ def test_frames_flow_with_the_kernels_time_stamps(webcam: None) -> None:
         assert frame.image.shape == (480, 640)
         assert frame.image.flags.c_contiguous
         assert frame.image.std() > 20, "the colour bars"
-        assert 0 <= time.monotonic_ns() - frame.t_ns < 20e9
-        assert abs((time.time_ns() - frame.wall_ns) - (time.monotonic_ns() - frame.t_ns)) < 1e8
+        assert began_ns < frame.t_ns < time.monotonic_ns()
+        # A second: whoever reads two clocks here may be interrupted in between.
+        assert abs((time.time_ns() - frame.wall_ns) - (time.monotonic_ns() - frame.t_ns)) < 1e9
     times_ns = [frame.t_ns for frame in frames if frame]
     assert all(later > earlier for earlier, later in itertools.pairwise(times_ns))
     assert frames[-1] is not None
