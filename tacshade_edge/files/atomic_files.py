@@ -78,7 +78,8 @@ def write_whole(path: Path, data: bytes | Iterable[bytes], *, sync: bool = True)
     as ``/dev/null``. A link's target is written, and what is replaced keeps its mode and, where
     that is allowed, its owner. With `sync` it waits until the file and its name are on the disk.
 
-    Raises OSError and then leaves nothing behind.
+    Of two that write one file at once, the second waits for the first, for at most `WAIT_S`. Raises
+    OSError and then leaves nothing behind.
     """
     # A rename would replace the link, and leave the file that it names as it was.
     path = Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -96,23 +97,77 @@ def _write(path: Path, data: bytes | Iterable[bytes], *, wait: bool) -> None:
         # os.replace would put a file in the place of the device.
         if stat.S_IFMT(before.st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
             raise OSError(errno.EEXIST, "found no regular file", str(path))
+    with _alone(partial):
+        try:
+            with partial.open("wb") as stream:
+                if before is not None:
+                    _take_over(stream.fileno(), before)
+                stream.writelines((data,) if isinstance(data, bytes) else data)
+                if wait:
+                    # Before the rename, which may reach the disk before the data: after a power
+                    # cut, the name would stand for an empty file.
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            os.replace(partial, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+            if error.errno == errno.EBUSY:
+                raise OSError(errno.EBUSY, _MOUNTED, str(path)) from None
+            raise
+
+
+WAIT_S = 2.0
+_LOOK_AGAIN_S = 0.005
+# A file system without locks, as some of a network.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP)
+
+
+@contextlib.contextmanager
+def _alone(partial: Path) -> Iterator[None]:
+    """Have an incomplete file, which may be what a process that was killed left, for this writer
+    alone until the block ends. Raises OSError, also if another keeps it for `WAIT_S`.
+    """
+    until_s = time.monotonic() + WAIT_S
+    while (descriptor := _locked(partial)) is None:
+        if time.monotonic() > until_s:
+            found = f"another program has been writing it for {WAIT_S:g} s"
+            raise OSError(errno.EAGAIN, found, str(partial))
+        time.sleep(_LOOK_AGAIN_S)
     try:
-        with partial.open("wb") as stream:
-            if before is not None:
-                _take_over(stream.fileno(), before)
-            stream.writelines((data,) if isinstance(data, bytes) else data)
-            if wait:
-                # Before the rename, which may reach the disk before the data: after a power cut,
-                # the name would stand for an empty file.
-                stream.flush()
-                os.fsync(stream.fileno())
-        os.replace(partial, path)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _locked(partial: Path) -> int | None:
+    """Open and lock an incomplete file; None if another has it."""
+    # Not emptied by this: it may be another's.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    descriptor, is_ours = os.open(partial, flags, 0o666), False
+    try:
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Between the two calls, another may have finished it, so that it has its final name.
+            is_ours = is_named(descriptor, partial)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        if error.errno == errno.EBUSY:
-            raise OSError(errno.EBUSY, _MOUNTED, str(path)) from None
-        raise
+        is_ours = error.errno in _NO_LOCKS
+        if not is_ours:
+            raise
+    finally:
+        if not is_ours:
+            os.close(descriptor)
+    return descriptor if is_ours else None
+
+
+def is_named(descriptor: int, path: Path) -> bool:
+    """Whether a path names an open regular file."""
+    try:
+        named = os.stat(path, follow_symlinks=False)
+    except FileNotFoundError:
+        return False
+    own = os.fstat(descriptor)
+    return stat.S_ISREG(own.st_mode) and (own.st_dev, own.st_ino) == (named.st_dev, named.st_ino)
 
 
 def _take_over(descriptor: int, before: os.stat_result) -> None:

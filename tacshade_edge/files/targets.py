@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tacshade_edge.errors import DeviceError
-from tacshade_edge.files.atomic_files import disk_errors, part
+from tacshade_edge.files.atomic_files import disk_errors, is_named, part
 from tacshade_edge.quoting import escaped
 from tacshade_edge.reasons import ReasonCode
 
@@ -142,7 +142,7 @@ def _locked(lock: Path, path: Path, command: str) -> int:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The last owner may have removed it between the two calls.
-            if _is_named(descriptor, lock):
+            if is_named(descriptor, lock):
                 return descriptor
         except BlockingIOError:
             owner = os.pread(descriptor, _OWNER_BYTES_MAX, 0).decode(errors="replace").strip()
@@ -153,12 +153,3 @@ def _locked(lock: Path, path: Path, command: str) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
-
-
-def _is_named(descriptor: int, lock: Path) -> bool:
-    try:
-        named = os.stat(lock, follow_symlinks=False)
-    except FileNotFoundError:
-        return False
-    own = os.fstat(descriptor)
-    return stat.S_ISREG(own.st_mode) and (own.st_dev, own.st_ino) == (named.st_dev, named.st_ino)

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.files import atomic_files
+from tacshade_edge.files.atomic_files import disk_errors, part, write_whole
 from tacshade_edge.files.targets import check_file, check_folder, one_at_a_time, owned_folder
 from tacshade_edge.reasons import ReasonCode
 
@@ -150,6 +152,8 @@ def test_of_many_at_once_one_is_in(
 import sys
 from pathlib import Path
 from tacshade_edge.errors import DeviceError
+from tacshade_edge.files import atomic_files
+from tacshade_edge.files.atomic_files import disk_errors, part, write_whole
 from tacshade_edge.files.targets import one_at_a_time
 path, done = Path(sys.argv[1]), 0
 while done < 100:
@@ -166,3 +170,64 @@ while done < 100:
     assert [each.wait() for each in made] == [0] * 4
     assert path.read_text() == "400"
     record_property("tried", 400)
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from tacshade_edge.files.atomic_files import write_whole
+path, letter = Path(sys.argv[1]), sys.argv[2].encode()
+for _ in range(100):
+    write_whole(path, (letter * 5000 for _ in range(20)), sync=False)
+"""
+STUCK = """
+import sys, time
+from pathlib import Path
+from tacshade_edge.files.atomic_files import write_whole
+def data():
+    yield b"half" * 5000
+    print("half", flush=True)
+    time.sleep(600)
+write_whole(Path(sys.argv[1]), data())
+"""
+
+
+@pytest.mark.slow
+def test_two_that_write_one_file_at_once_write_it_whole(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    path, whole = tmp_path / "a.npz", [letter * 100_000 for letter in (b"a", b"b", b"c")]
+    path.write_bytes(whole[0])
+    words = [sys.executable, "-c", WRITER, str(path)]
+    made = [subprocess.Popen([*words, letter]) for letter in "bc"]
+    while any(each.poll() is None for each in made):
+        assert path.read_bytes() in whole
+    assert [each.returncode for each in made] == [0, 0]
+    assert path.read_bytes() in whole[1:]
+    assert list(tmp_path.iterdir()) == [path]
+    record_property("tried", 200)
+
+
+@pytest.mark.slow
+def test_who_is_stuck_in_a_file_keeps_others_out_until_it_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(atomic_files, "WAIT_S", 0.05)
+    path = tmp_path / "a.npz"
+    path.write_bytes(b"old")
+    with subprocess.Popen(
+        [sys.executable, "-c", STUCK, str(path)], stdout=subprocess.PIPE, text=True
+    ) as stuck:
+        assert stuck.stdout is not None
+        assert stuck.stdout.readline() == "half\n"
+        with (
+            pytest.raises(DeviceError, match=r"part: cannot write it: another program has been"),
+            disk_errors(tmp_path),
+        ):
+            write_whole(path, b"new")
+        assert path.read_bytes() == b"old"
+        stuck.send_signal(signal.SIGKILL)
+    assert part(path).exists()
+    write_whole(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]

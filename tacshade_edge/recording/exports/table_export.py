@@ -48,10 +48,7 @@ def check_new(path: Path) -> None:
     Raises ConfigError if the name exists, and DeviceError if the disk is nearly full
     or cannot be written.
     """
-    if path.exists():
-        raise ConfigError(
-            f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
-        )
+    _refuse_taken(path)
     path = target_of(path)
     check_folder(path.parent)
     with disk_errors(path):
@@ -59,6 +56,13 @@ def check_new(path: Path) -> None:
         with contextlib.suppress(FileNotFoundError):
             part(path).lstat()
         require_free(path.parent)
+
+
+def _refuse_taken(path: Path) -> None:
+    if path.exists():
+        raise ConfigError(
+            f"{path}: already exists, expected a new name (--out)", code=ReasonCode.NAME_TAKEN
+        )
 
 
 @contextlib.contextmanager
@@ -76,6 +80,8 @@ def new_path(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Two would write the same incomplete file.
         stack.enter_context(one_at_a_time(path, "export", "writing"))
+        # Again: another export may have finished it between the check and the lock.
+        _refuse_taken(path)
         # What a write that was killed left behind.
         _remove(partial)
         try:

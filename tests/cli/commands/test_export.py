@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from support.csv_rows import csv_rows
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration, touched_depth_mm
 from support.recordings import record_hand
 from tacshade_edge.calibration.files.calibration_file import packed
-from tacshade_edge.cli import main
+from tacshade_edge.cli import EXIT_CONFIG, main
+from tacshade_edge.recording.exports import table_export
 from tacshade_edge.recording.recorder import RecordingWriter, png_of
 from tacshade_edge.sensor.touch.touch_answer import PLAIN
 from tacshade_edge.types import Frame, Pose
@@ -260,3 +262,22 @@ def test_what_does_not_go_with_a_hand(
 ) -> None:
     assert main(["export", "a", "b", *more]) == 78
     assert capsys.readouterr().err.startswith(f"tacshade-edge: {option}")
+
+
+def test_an_export_that_has_just_ended_is_not_replaced(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ends after the other's check, and before the other's lock."""
+    out = recording.with_name("rec.csv")
+    locked = table_export.one_at_a_time
+
+    def late(path: Path, *words: str) -> AbstractContextManager[None]:
+        out.write_text("the other's")
+        return locked(path, *words)
+
+    monkeypatch.setattr(table_export, "one_at_a_time", late)
+    assert export(recording, "csv") == EXIT_CONFIG
+    said = capsys.readouterr().err
+    assert (said.count("\n"), "rec.csv: already exists" in said) == (1, True)
+    assert out.read_text() == "the other's"
+    assert {path.name for path in recording.parent.iterdir()} == {"rec", "rec.csv"}
