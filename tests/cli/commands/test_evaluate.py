@@ -158,6 +158,18 @@ def test_labels_that_cannot_teach_are_said_to_be_so(
     ]
 
 
+def test_equal_depths_follow_no_label_and_say_nothing_else(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = own / "LABELS.csv"
+    table.write_text("image,depth_mm\n" + "coin.png,1\ncoin.png,2\ncoin.png,3\n" * 4)
+    assert main(of_own(own, "--labels", str(table), "--profile", "fast", "--json")) == 0
+    printed = capsys.readouterr()
+    assert without_progress(printed.err) == []
+    (depth,) = json.loads(printed.out)["agreements"]["fast"]
+    assert (depth["quantity"], depth["frames"], depth["rank_correlation"]) == ("depth", 12, None)
+
+
 def test_invalid_images_are_refused_one_by_one_and_exit_1(
     own: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
