@@ -320,8 +320,8 @@ class App:
         self._events.close()
         stops = [(THREADS_STOPPED_S, self._pipeline.stop), (FRAMES_SENT_S, self._give_up_frames)]
         stops += [(observer.stop_s, observer.stop) for observer in self._observers]
-        # By their deadlines, which follow the way of a frame: first what makes frames and requests,
-        # then what carries them on, last the link, which sends the end of all.
+        # By their deadlines, which follow the way of a frame: first what makes frames, then what
+        # carries them on, then the robot's line and last the link, which send the end of all.
         for due_s, stop in sorted(stops, key=itemgetter(0)):
             stop(left_s(due_s))
         # After the ledger was closed: the last message proves that no frame is pending.

@@ -15,10 +15,10 @@ from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 
 # Deadlines after the beginning of a stop, even if something hangs:
 # a part that ends early leaves its time to the next.
-SERIAL_STOPPED_S, THREADS_STOPPED_S, FRAMES_SENT_S = 0.1, 0.9, 1.1
-# Recorder and sessions end after the threads that add to them; the link is last, because each
-# part publishes how it ended.
-RECORDED_S, STITCHED_S, LINK_STOPPED_S = 1.3, 1.4, 1.9
+THREADS_STOPPED_S, FRAMES_SENT_S = 0.9, 1.1
+# Recorder and sessions end after the threads that add to them; then the robot's line, because they
+# answer its commands; the link is last, because each part publishes how it ended.
+RECORDED_S, STITCHED_S, SERIAL_STOPPED_S, LINK_STOPPED_S = 1.3, 1.4, 1.6, 1.9
 
 # Longer than a camera's retries, so that a cable that is put back answers the command.
 FRAME_TIMEOUT_NS = 5_000_000_000

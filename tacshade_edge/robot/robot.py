@@ -53,7 +53,7 @@ LATENCY_MAX_MS = 1
 # Frames whose pose is remembered: 17 s at 60 frames/s, longer than a session or the recorder lags.
 _POSES_KEPT: Final = 1024
 _BYTES_MAX: Final = 1 << 14
-# How late a follower notices `stop`, which has 0.1 s.
+# How late a follower notices `stop`, which has 0.2 s.
 _READ_S: Final = 0.05
 # Well below `SILENT_NS`, after which a follower takes the owner for dead.
 _LINE_PERIOD_NS: Final = 1_000_000_000

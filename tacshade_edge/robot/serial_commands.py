@@ -12,7 +12,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from tacshade_edge.pipeline.observer import FrameWaiters, Reply
+from tacshade_edge.pipeline.observer import STOPPING, FrameWaiters, Reply
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.clock_sync import SyncState
 from tacshade_edge.robot.robot_motion import ClockExchanged, RobotMotion
@@ -47,6 +47,8 @@ class SerialCommands:
     _answers: SimpleQueue[tuple[Command, CommandResult | Reason]] = field(
         default_factory=SimpleQueue
     )
+    # The serial thread's own: the commands in progress.
+    _unanswered: list[Command] = field(default_factory=list)
     _told: deque[str] = field(default_factory=partial(deque, maxlen=TOLD_MAX))
     _captures: FrameWaiters = field(
         default_factory=partial(FrameWaiters, "captures are already waiting")
@@ -61,6 +63,8 @@ class SerialCommands:
             outcome = verb.start(command, self, link.counts)
         if outcome is not None:
             link.answer(command, outcome)
+        else:
+            self._unanswered.append(command)
 
     # -- what the verbs ask for (`verbs.Desk`) -----------------------------------------------------
 
@@ -114,6 +118,15 @@ class SerialCommands:
             except Empty:
                 return
             link.answer(command, outcome)
+            self._unanswered.remove(command)
+
+    def send_last_answers(self, link: SerialLink) -> None:
+        """Give the link the answers that are there, and a refusal to each command in progress,
+        which nobody will answer any more; called in the serial thread.
+        """
+        self.send_answers(link)
+        while self._unanswered:
+            link.answer(self._unanswered.pop(), STOPPING)
 
     @property
     def capture_pending(self) -> bool:

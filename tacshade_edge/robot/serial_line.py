@@ -88,7 +88,9 @@ class SerialChannel:
         self._port.wake()
 
     def run(self) -> None:
-        """Serve the robot until `stop`; reopen a lost port with growing pauses."""
+        """Serve the robot until `stop`, then answer all that it has asked; reopen a lost port with
+        growing pauses.
+        """
         retry_s = FIRST_RETRY_S
         while not self._stop.is_set():
             try:
@@ -99,6 +101,8 @@ class SerialChannel:
                     # its growing pauses.
                     if self._turn():
                         retry_s = FIRST_RETRY_S
+                self._commands.send_last_answers(self._link)
+                self._write()
             except DeviceError as error:
                 self._set_state(PortState("away", error.reason))
                 # The first failure after an opening is the loss; those that follow are tries to

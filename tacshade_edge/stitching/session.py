@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from tacshade_edge.stitching.map_files import press_record, write_map
 from tacshade_edge.stitching.press_agreement import suspected_poses
 from tacshade_edge.stitching.press_points import PressPoints
 from tacshade_edge.stitching.stitch_file import SessionInfo, StitchFile, open_session
-from tacshade_edge.stitching.stitcher import Raster, Stitcher
+from tacshade_edge.stitching.stitcher import FinishedMap, Raster, Stitcher
 from tacshade_edge.types import F32, Calibration
 from tacshade_edge.wire.binary import encode_map_cloud
 from tacshade_edge.wire.codec import encode_json
@@ -205,30 +206,22 @@ class StitchSession:
         )
 
     def finish(
-        self, missed: int, suspected: Suspicion | None = None
+        self,
+        missed: int,
+        suspected: Suspicion | None = None,
+        check_wanted: Callable[[], None] = lambda: None,
     ) -> tuple[SessionEnded, MapRevision]:
         """Make the final map and write its files, which takes seconds; `suspected` is said in them.
+        What `check_wanted` raises once the map is made keeps the session open.
 
         Raises DeviceError: it is still open.
         """
         final = self._stitcher.finish()
+        check_wanted()
         raster, crc32 = final.raster, self.file.info.calibration_crc32
         used = sum(press.rejected is None for press in final.presses)
         self.revision += 1
-        details = {
-            "name": self.name,
-            "revision": self.revision,
-            "used": used,
-            "missed": missed,
-            "refined": final.refined,
-            "disagreement_mm": round(final.disagreement_mm, 4),
-            "suspected": "" if suspected is None else str(suspected),
-            "calibration_crc32": crc32,
-            "presses": [
-                {"press": k, **press_record(press)}
-                for k, press in enumerate(final.presses, start=1)
-            ],
-        }
+        details = self._details(final, used, missed, suspected)
         # The map first: after a crash between the two, the session is still open, and END makes the
         # same map again.
         write_map(self.folder, raster, details)
@@ -254,6 +247,25 @@ class StitchSession:
                 lambda: raster,
             ),
         )
+
+    def _details(
+        self, final: FinishedMap, used: int, missed: int, suspected: Suspicion | None
+    ) -> dict[str, Any]:
+        """What ``map.json`` says of the final map and its presses."""
+        return {
+            "name": self.name,
+            "revision": self.revision,
+            "used": used,
+            "missed": missed,
+            "refined": final.refined,
+            "disagreement_mm": round(final.disagreement_mm, 4),
+            "suspected": "" if suspected is None else str(suspected),
+            "calibration_crc32": self.file.info.calibration_crc32,
+            "presses": [
+                {"press": k, **press_record(press)}
+                for k, press in enumerate(final.presses, start=1)
+            ],
+        }
 
 
 def _words(found: Suspicion | None) -> tuple[str, str]:

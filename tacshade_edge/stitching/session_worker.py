@@ -14,8 +14,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,12 +29,12 @@ from tacshade_edge.pipeline.observer import (
     FrameResult,
     FrameWaiters,
     Reply,
-    refuse_waiting,
 )
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.rigid import Rigid, from_seven, of_pose
 from tacshade_edge.stitching.press_points import PressPoints, RestDetector, press_points
 from tacshade_edge.stitching.session import MapPublisher, MapRevision, StitchSession
+from tacshade_edge.stitching.session_jobs import SessionJobs
 from tacshade_edge.types import Calibration, Frame, Need, Reconstruction
 from tacshade_edge.wire.messages import encode_status
 from tacshade_edge.wire.requests import Request
@@ -72,9 +71,6 @@ class SessionState:
     folder: str = ""  # of the latest map
 
 
-_Job = tuple[Callable[[], SessionResult], Reply]
-
-
 class Sessions(FrameObserver):
     """One sensor's sessions, one at a time, each in its own folder below `folder`; present only if
     frames have poses. A session that was open when the daemon died is resumed. Every contact that
@@ -101,7 +97,7 @@ class Sessions(FrameObserver):
         self._robot = robot
         if robot:
             robot.commands.stitch = self.submit
-        self._jobs: SimpleQueue[_Job | Literal["stop"]] = SimpleQueue()
+        self._jobs = SessionJobs()
         self._adds = FrameWaiters("presses are already waiting for a frame")
         self._lock = threading.Lock()
         self._rest = RestDetector()
@@ -122,14 +118,14 @@ class Sessions(FrameObserver):
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Add what waits; an open session, or one whose end takes longer,
+        """Add what waits; an open session, or one whose end takes longer and is refused,
         stays open on the disk.
         """
         self._stopping = True
-        self._jobs.put("stop")
+        self._jobs.stop()
         self._thread.join(timeout_s)
         self._adds.refuse_all(STOPPING)
-        refuse_waiting(self._jobs)
+        self._jobs.refuse_all()
         self.poll()
 
     def need(self) -> Need:
@@ -142,7 +138,7 @@ class Sessions(FrameObserver):
     def health(self) -> dict[str, int]:
         """Presses added, commands to add one refused, contacts at rest missed, jobs waiting."""
         with self._lock:
-            return {**self._counts, "waiting": len(self._adds) + self._jobs.qsize()}
+            return {**self._counts, "waiting": len(self._adds) + len(self._jobs)}
 
     def poll(self) -> None:
         """Refuse commands that have waited too long;
@@ -182,10 +178,10 @@ class Sessions(FrameObserver):
             # The press is the first frame taken after the command: the robot stands still by
             # then.
             self._adds.put(time.monotonic_ns(), reply)
-        elif self._jobs.qsize() >= WAITING_MAX:
+        elif len(self._jobs) >= WAITING_MAX:
             reply(Reason(ReasonCode.BUSY, f"{WAITING_MAX} commands are already waiting"))
         else:
-            self._jobs.put((partial(self._command, action, name), reply))
+            self._jobs.put(partial(self._command, action, name), reply)
 
     def _observe(self, frame: Frame, result: Reconstruction, calibration: Calibration) -> None:
         """Add the frame if an ``ADD`` waits for it, or if its contact has come to rest."""
@@ -213,7 +209,7 @@ class Sessions(FrameObserver):
             refusal = Reason(ReasonCode.NO_CONTACT, text)
         elif not result.contact:
             refusal = _no_contact(result.seq)
-        elif self._jobs.qsize() >= WAITING_MAX:
+        elif len(self._jobs) >= WAITING_MAX:
             refusal = Reason(ReasonCode.BUSY, f"{WAITING_MAX} presses are already waiting")
         else:
             # What an ADD took must not be added again when it comes to rest.
@@ -221,7 +217,7 @@ class Sessions(FrameObserver):
             points = press_points(result.height, calibration.geometry)
             flange_T_sensor = from_seven(calibration.flange_T_sensor)
             add = partial(self._add, points, replace(frame, image=_NO_IMAGE), flange_T_sensor)
-            self._jobs.put((add, replies.pop(0)))
+            self._jobs.put(add, replies.pop(0))
         for reply in replies:  # the same frame twice would be the same press twice
             reply(refusal or Reason(ReasonCode.BUSY, f"frame {result.seq} is already being added"))
 
@@ -249,22 +245,21 @@ class Sessions(FrameObserver):
         self._resume()
         while True:
             try:
-                job = self._jobs.get(timeout=DEFERRED_S if self._deferred else None)
-            except Empty:  # it is time to publish a deferred map
+                job = self._jobs.next(DEFERRED_S if self._deferred else None)
+            except TimeoutError:  # it is time to publish a deferred map
                 if self._session is not None:
                     self._deferred = self.publish_map(self._session.map_revision())
                 continue
-            if job == "stop":
+            if job is None:
                 break
-            run, reply = job
             outcome: SessionResult | Reason
             try:
-                outcome = run()
+                outcome = job()
             except TacshadeError as error:
                 outcome = error.reason
             # In this order: whoever gets the reply may act on the state at once.
             self._show_state()
-            reply(outcome)
+            self._jobs.answer(outcome)
             if isinstance(outcome, SessionEnded | SessionAborted):
                 # glibc keeps what lies below its newest block: of the 287 MB of a full map 200
                 # stayed, which looked like a leak over sessions.
@@ -372,7 +367,7 @@ class Sessions(FrameObserver):
             suspected = None if calibration is None else session.suspected(calibration)
             if suspected is not None:
                 _log.warning("session %s: the poses: %s", session.name, suspected)
-            ended, final_map = session.finish(self._missed, suspected)
+            ended, final_map = session.finish(self._missed, suspected, self._jobs.check_wanted)
         finally:
             self._ending = False
         self._map_folder = str(session.folder)

@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import HALF, calibrated, simulated, unloaded
-from support.patience import wait_until
+from support.patience import patience, wait_until
 from support.robot import PtyRobot, motion
-from support.running_app import Live, paced
+from support.running_app import BASE, Live, paced
 from tacshade_edge.cli import main
 from tacshade_edge.lab.simulator.pad import Bar, Pad, scan
 from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.recording.frame_table import read_table
 from tacshade_edge.robot.pose import PoseValues
 from tacshade_edge.stitching.stitch_file import StitchFile
+from tacshade_edge.stitching.stitcher import FinishedMap, Stitcher
 from tacshade_edge.types import U8
 from tacshade_edge.wire import binary
 
@@ -120,18 +121,18 @@ class Cell:
         self._settings = live.document(
             f"profile: fast\nserial: {{device: {link}}}\nstitching: {{folder: maps}}\n"
         )
-        self._start()
+        self.start()
 
-    def _start(self) -> None:
+    def start(self) -> None:
         self._app = self.live.run(self._scripted(self._stream()), self._settings, calibrated())
         self.until(lambda: self.last("status/serial").get("sync") == "two-way", "synchronised")
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
         self.frames.set()
         self._app.end()
 
     def close(self) -> None:
-        self._stop()
+        self.stop()
         self._closing.close()
 
     def _stream(self) -> Iterator[Any]:
@@ -198,6 +199,40 @@ def cell(live: Live, link: Path, scripted: Any) -> Iterator[Cell]:
     made = Cell(live, link, scripted)
     yield made
     made.close()
+
+
+def test_an_end_that_a_stop_cuts_off_is_refused_on_both_ways_and_can_be_repeated(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.frames.set()
+    cell.until(lambda: cell.last("contact"), "a frame")
+    assert cell.ask("stitch", action="begin", name="1") == {"name": "1"}
+    (pose, image), *_ = presses()
+    cell.press(pose, image, 1)
+    finish, go_on, threads = Stitcher.finish, threading.Event(), list[threading.Thread]()
+
+    def slow(stitcher: Stitcher) -> FinishedMap:
+        threads.append(threading.current_thread())
+        assert go_on.wait(patience(DEADLINE_S))
+        return finish(stitcher)
+
+    monkeypatch.setattr(Stitcher, "finish", slow)
+    before, asked = len(cell.robot.answers), b'{"action": "end"}'
+    cell.robot.ask("STITCH END")
+    cell.until(lambda: cell.status()["state"] == "ending", "ending")
+    cell.live.seen.publish(f"{BASE}/req/stitch", asked)
+    cell.until(lambda: cell.last("health")["stitching"]["waiting"] == 1, "another waits")
+    answers = len(cell.live.payloads("res/stitch"))
+    cell.stop()
+    cell.until(lambda: cell.robot.answers[before:], "the robot's answer")
+    assert "REFUSED the daemon is stopping" in cell.robot.answers[-1]
+    cell.until(lambda: len(cell.live.payloads("res/stitch")) > answers, "the answer to MQTT")
+    assert cell.last("res/stitch")["reason_code"] == "daemon_stopped"
+    go_on.set()
+    threads[0].join(patience(DEADLINE_S))
+    cell.start()
+    assert cell.ask("stitch", action="status")["presses"] == 1
+    assert " presses=1 " in cell.command("STITCH END")
 
 
 def test_the_live_map_is_that_of_the_recording(cell: Cell, tmp_path: Path) -> None:

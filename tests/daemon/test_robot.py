@@ -180,6 +180,24 @@ def test_a_session_is_commanded_where_maps_are_stitched(link: Path) -> None:
         answered(robot, "ERR", "NOSESSION none is open")
 
 
+def test_a_stop_answers_what_the_robot_has_asked_and_refuses_what_is_still_at_work(
+    link: Path,
+) -> None:
+    with PtyRobot(link, rate_hz=0) as robot:
+        with Side(link) as side:
+            side.until("connected", state="connected")
+            robot.ask("CAPTURE")  # no frame comes
+            for _ in range(2):
+                robot.ask("REFERENCE")
+            wait_until(lambda: len(side.requests) == 2, 10, "the requests")
+            (_, done), (_, at_work) = side.requests
+            done(ReferenceTaken(10, 7, 0.5))
+        at_work(ReferenceTaken(10, 7, 0.5))
+        wait_until(lambda: len(robot.answers) == 3, 10, "three answers")
+    assert sum("OK" in each and "frames=10" in each for each in robot.answers) == 1
+    assert sum("REFUSED the daemon is stopping" in each for each in robot.answers) == 2
+
+
 def test_a_port_that_is_away_and_one_that_is_taken(
     link: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -444,7 +444,7 @@ def maps_wait(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return go_on
 
 
-def test_a_stop_does_not_wait_for_a_map(
+def test_a_stop_does_not_wait_for_a_map_and_refuses_its_end_once(
     tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = Robot(tmp_path)
@@ -452,13 +452,21 @@ def test_a_stop_does_not_wait_for_a_map(
     robot.ask("BEGIN", "pad")
     robot.add(ball)
     go_on = maps_wait(monkeypatch)
-    robot.begin("END")
+    ended, added = robot.begin("END"), robot.begin("ADD")
     wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
     robot.sessions.stop(0.01)
+    assert [code(wait(each)) for each in (ended, added)] == [ReasonCode.DAEMON_STOPPED] * 2
     assert robot.status()["state"] == "ending"
-    assert open_session(tmp_path, "left") == tmp_path / "pad"  # for the next sessions
     go_on.set()
     robot.end()
+    # What was refused is not done either: the next daemon's sessions go on with it, and end it.
+    assert ended.empty()
+    assert open_session(tmp_path, "left") == tmp_path / "pad"
+    assert not (tmp_path / "pad" / "map.npz").exists()
+    again = Robot(tmp_path)
+    assert status(again).presses == 1
+    assert isinstance(again.ask("END"), SessionEnded)
+    again.end()
 
 
 def test_a_press_that_waited_until_its_session_had_ended_is_refused(
