@@ -87,6 +87,12 @@ class Look:
         """What the judges measure of the grey picture; nothing after the first that refuses."""
         return self._eye.judges.measured(self.grey)
 
+    @property
+    def grey_reason(self) -> Reason | None:
+        """Why the grey picture is refused."""
+        # Every good frame passes, and needs none of the figures.
+        return None if self._eye.judges.passes(self.grey) else first_reason(self.judged)
+
     @cached_property
     def white(self) -> Preprocessed:
         """The white that the gate sees."""

@@ -186,7 +186,7 @@ class Reconstructor:
         # grey alone, so a torn frame is refused before anything is binarised.
         unchanged = reason is None and self._unchanged.shown_in(look.grey)
         if reason is None and not unchanged:
-            reason = first_reason(look.judged)
+            reason = look.grey_reason
         mark("check")
         if unchanged:
             return self._empty(frame, degraded=self._unchanged.degraded)

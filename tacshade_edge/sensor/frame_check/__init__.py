@@ -55,6 +55,15 @@ class Judges:
                 made += self.skin.measured(grey)
         return made
 
+    def passes(self, grey: U8) -> bool:
+        """Whether an image, uint8 (H, W) of the reference's size, clearly passes; False for one
+        that only `measured` can tell.
+        """
+        if self.skin or not self.picture.passes(grey):
+            return False
+        eighths = eighth(grey)
+        return self.light.passes(grey, eighths) and self.camera.passes(eighths)
+
     def reason(self, grey: U8) -> Reason | None:
         """Why an image, uint8 (H, W), cannot be used; None if it can."""
         return size_reason(grey, self._shape) or first_reason(self.measured(grey))

@@ -111,15 +111,7 @@ class CameraJudge:
         """What is measured of an image's means over 8x8 px."""
         if not self._usual.size:
             return ()
-        found = eighths.take(self._at).astype(np.float32)
-        # Use the surround's own light, because a contact changes the brightness of the whole disc.
-        lit = self._lit
-        light = median(found[lit] / self._usual[lit]) if lit.size else 1.0
-        light = min(max(light, LIGHT_LOW), LIGHT_HIGH)
-        expected = np.minimum(np.float32(light) * self._usual, np.float32(255))
-        changed = np.abs(found - expected)
-        part = np.count_nonzero(changed > SURROUND_LEVELS + 0.25 * expected) / found.size
-        shift_px = self._shift_px(found)
+        shift_px, part = self._found(eighths)
         moved = f"the camera has moved by {shift_px:.1f} px since the reference was taken"
         other = (
             f"torn or moved: {100 * part:.0f} % of the image around the disc differs from the "
@@ -138,6 +130,23 @@ class CameraJudge:
                 Reason(ReasonCode.SURROUND, other),
             ),
         )
+
+    def passes(self, eighths: U8) -> bool:
+        """Whether an image passes, without a sentence for what it would be refused for."""
+        shift_px, part = self._found(eighths) if self._usual.size else (0.0, 0.0)
+        return shift_px <= LEAST_PX and part <= SURROUND_PART
+
+    def _found(self, eighths: U8) -> tuple[float, float]:
+        """How far the camera moved, in its pixels, and the part of the surround that differs."""
+        found = eighths.take(self._at).astype(np.float32)
+        # Use the surround's own light, because a contact changes the brightness of the whole disc.
+        lit = self._lit
+        light = median(found[lit] / self._usual[lit]) if lit.size else 1.0
+        light = min(max(light, LIGHT_LOW), LIGHT_HIGH)
+        expected = np.minimum(np.float32(light) * self._usual, np.float32(255))
+        changed = np.abs(found - expected)
+        part = np.count_nonzero(changed > SURROUND_LEVELS + 0.25 * expected) / found.size
+        return self._shift_px(found), part
 
     def _shift_px(self, found: F32) -> float:
         """The shift that explains the change of what lies around, in the camera's pixels;

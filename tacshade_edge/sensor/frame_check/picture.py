@@ -23,6 +23,8 @@ SATURATED_LEVEL, SATURATED_PART = 250, 0.25
 # Median difference of neighbouring pixels: flat places of the pattern keep it near the noise.
 NOISE_STEP, NOISE_OVER_REFERENCE = 9.0, 5.0
 
+_WHOLE = 255  # the mean of a mask over a block that it covers, and the greatest level
+
 Box = tuple[slice, slice]
 
 
@@ -68,6 +70,8 @@ class PictureJudge:
         self._mask: U8 = np.where(mask[self._box], np.uint8(255), np.uint8(0))
         self._pairs = np.ascontiguousarray(self._mask[::8, 1:])
         self._px = cv2.countNonZero(self._mask) if self._mask.size else 0
+        self._has_pair: Bool = self._pairs > 0
+        self._pair_count = int(np.count_nonzero(self._has_pair))
         self._flat_std, self._saturated_part, self._noise_step = FLAT_STD, SATURATED_PART, math.inf
         if not self._px or reference_grey is None:
             return
@@ -85,10 +89,7 @@ class PictureJudge:
             )
             return (Measured("picture", "pixels of the disc", 0, 1, math.inf, reason),)
         disc = grey[self._box]
-        mean, square = (
-            cv2.norm(disc, kind, self._mask) / self._px for kind in (cv2.NORM_L1, cv2.NORM_L2SQR)
-        )
-        std = math.sqrt(max(square - mean * mean, 0))
+        mean, square, std = self._moments(disc)
         saturated = 0.0
         if (
             square > self._saturated_part * SATURATED_LEVEL**2
@@ -124,14 +125,36 @@ class PictureJudge:
             ),
         )
 
+    def passes(self, grey: U8) -> bool:
+        """Whether an image clearly passes, faster than it is measured."""
+        if not self._px:
+            return False
+        disc = grey[self._box]
+        _, square, std = self._moments(disc)
+        if square > self._saturated_part * SATURATED_LEVEL**2 or std < self._flat_std:
+            return False
+        # A median is within a limit if at most half of the values are beyond it.
+        if self._noise_step >= _WHOLE or not self._pairs.size:
+            return True
+        beyond = self._steps(disc) > math.floor(self._noise_step)
+        beyond &= self._has_pair
+        return 2 * int(np.count_nonzero(beyond)) <= self._pair_count
+
+    def _moments(self, disc: U8) -> tuple[float, float, float]:
+        """Mean, mean square and deviation of the disc's pixels."""
+        mean, square = (
+            cv2.norm(disc, kind, self._mask) / self._px for kind in (cv2.NORM_L1, cv2.NORM_L2SQR)
+        )
+        return mean, square, math.sqrt(max(square - mean * mean, 0))
+
     def _step(self, disc: U8) -> float:
         """Median difference of horizontal neighbours in the disc, on every eighth row."""
-        if not self._pairs.size:
-            return 0.0
+        return level_at(self._steps(disc), self._pairs, 0.5) if self._pairs.size else 0.0
+
+    @staticmethod
+    def _steps(disc: U8) -> U8:
         rows = disc[::8]
-        return level_at(
-            np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8), self._pairs, 0.5
-        )
+        return np.asarray(cv2.absdiff(rows[:, 1:], rows[:, :-1]), np.uint8)
 
 
 # Beyond this change of light, the binarised image cannot be compared with the reference's.
@@ -149,9 +172,7 @@ UNSEEN_INVALID = 0.4
 # Change of light between references that is compensated, and limits of unevenness and blur beyond
 # all good presses (calibration-checks.md).
 COMPENSATED_LOW, COMPENSATED_HIGH, UNEVEN, CONTRAST = 0.8, 1.25, 0.08, 0.8
-
-
-_WHOLE = 255  # the mean of a mask over a block that it covers
+_ROUNDING = 1e-6  # levels by which a quotient may err
 
 
 class LightJudge:
@@ -173,6 +194,24 @@ class LightJudge:
         mean, deviation = squares(reference_grey, 8)
         self._textured = np.flatnonzero(whole & (deviation >= TEXTURED_STD))
         self._common = max(median(mean.take(self._textured)), 1.0) if self._textured.size else 1.0
+        # For `passes`: so many of the sampled pixels may be darker than the least light allows, and
+        # so many of the blocks brighter than the most.
+        self._is_sampled: Bool = self._sampled > 0
+        self._few_dark = (1 - self._bright_part) * int(np.count_nonzero(self._is_sampled)) - 1
+        self._few_bright = (self._textured.size - 1) // 2
+        self._least = math.floor(LIGHT_LOW * self._bright) + 1
+        self._most = min(math.floor(LIGHT_HIGH * self._common - _ROUNDING), _WHOLE)
+
+    def passes(self, grey: U8, eighths: U8) -> bool:
+        """Whether an image clearly passes, faster than it is measured."""
+        if not self._textured.size:
+            return True
+        darker = grey[::4, ::4] < self._least
+        darker &= self._is_sampled
+        if int(np.count_nonzero(darker)) > self._few_dark:
+            return False
+        bright = eighths.take(self._textured) > self._most
+        return int(np.count_nonzero(bright)) <= self._few_bright
 
     def measured(self, grey: U8, eighths: U8) -> tuple[Measured, ...]:
         """What is measured of an image, uint8 (H, W), and its means over 8x8 px."""

@@ -104,6 +104,28 @@ def test_no_contact_raises_a_false_alarm(model: SensorModel) -> None:
             assert asked.reason(to_grey(image)) is None, (name, depth)
 
 
+@pytest.mark.parametrize("model", [HALF, TACTIP], ids=["half", "tactip"])
+def test_an_image_passes_at_once_only_if_no_judge_refuses_it(model: SensorModel) -> None:
+    known, good = calibrated(model, 0), unloaded(model)
+    asked = Judges(known.reference_grey, known.geometry.disc, None)
+    assert asked.passes(to_grey(good))
+    assert asked.passes(to_grey(pressed("ball", 2.0, model).image))
+    noisy = np.random.default_rng(3).integers(0, 256, good.shape, dtype=np.uint8)
+    images = [
+        *(image for image, _ in bad_frames(good).values()),
+        *(camera_faults.gain(good, float(part)) for part in np.linspace(0.3, 2.3, 41)),
+        *(camera_faults.noise(good, sigma, 1) for sigma in range(0, 30, 2)),
+        *(camera_faults.shift(good, rows, rows // 2) for rows in range(7)),
+        noisy,
+    ]
+    for image in images:
+        grey = to_grey(image)
+        if grey.shape == known.reference_grey.shape:
+            assert not asked.passes(grey) or asked.reason(grey) is None
+    nowhere = Judges(known.reference_grey, Disc(-500.0, -500.0, 20.0), None)
+    assert not nowhere.passes(to_grey(good))
+
+
 @pytest.mark.parametrize("profile", EVERY_PROFILE)
 def test_the_judges_see_the_same_in_every_profile(profile: str) -> None:
     made = make_reconstructor(calibrated(FULL, 0), PROFILES[profile])
