@@ -171,7 +171,9 @@ def _objects(
     if cells.size == 0:
         return None
     x_y_z = planes.reshape(3, -1).take(cells, axis=1)
-    cloud = ObjectCloud(np.ascontiguousarray(x_y_z.T), labels.take(cells))
+    # Several times as fast as NumPy's copy of a turned view.
+    points = np.asarray(cv2.transpose(x_y_z), np.float32)
+    cloud = ObjectCloud(points, labels.take(cells))
     heights, areas = height_mm[box].take(cells), area.take(cells)
     volume_mm3 = float((heights * areas).sum(dtype=np.float64))
     moved = None if shear_mm is None else shear_mm[box].reshape(-1, 2).take(cells, axis=0).T
@@ -249,6 +251,8 @@ def label_objects(
 def cells_by_label(labels: U16) -> I64:
     """Flat indices of the labelled cells: object by object, row by row in each."""
     cells = np.flatnonzero(labels)
+    if labels.max(initial=0) <= 1:
+        return cells
     # For 16 bits, a stable sort is a radix sort.
     return np.asarray(cells.take(labels.take(cells).argsort(kind="stable")), np.int64)
 

@@ -61,9 +61,8 @@ def terms(
     """
     cells = len(height_mm)
     left, top, width, height = cv2.boundingRect(where.view(np.uint8))
-    first_row, first_col = max(top - 1, 0), max(left - 1, 0)
     # With each cell's neighbours, which its slope needs.
-    box = slice(first_row, top + height + 1), slice(first_col, left + width + 1)
+    box = slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
     near, at = np.fmax(height_mm[box], np.float32(0)), np.flatnonzero(where[box])
     along, across = (
         cv2.Sobel(near, cv2.CV_32F, *order, ksize=3, borderType=cv2.BORDER_REPLICATE).take(at)
@@ -71,14 +70,13 @@ def terms(
     )
     disc_mm = geometry.visible_radius_mm
     cell_mm = 2 * disc_map.REACH * disc_mm / cells
-    row, col = divmod(at, near.shape[1])
     each = cells // len(untrusted_logit)
+    untrusted = untrusted_logit.repeat(each, axis=0).repeat(each, axis=1)[box].take(at)
     x = np.empty((len(TERMS), len(at)), np.float32)
     x[0] = 1
     x[1] = np.log(_LEAST_HEIGHT_MM + near.take(at) / np.float32(disc_map.skin_scale(geometry)))
     # Sobel's weights add to 8 for a slope of 1 per cell.
     x[2] = np.minimum(np.hypot(along, across) / (8 * cell_mm), _STEEPEST)
-    untrusted = untrusted_logit[(row + first_row) // each, (col + first_col) // each]
     for k, logit, (low, high) in (
         (3, contact_logit[box].take(at), _CONTACT_RANGE),
         (4, untrusted, _UNTRUSTED_RANGE),

@@ -126,14 +126,14 @@ class Preprocessor:
         return self._binarise(self.window.cut(grey)).copy()
 
     def preprocess(self, grey: U8, space: I32 | None = None) -> Preprocessed:
-        """Binarise a grey working image without its glare;
-        the result may use `space`, from ``integrator.space``.
+        """Binarise a grey working image without its glare; with `space`, from ``integrator.space``,
+        the next call overwrites the result.
         """
         cut = self.window.cut(grey)
         glare = self._glare.mask(cut)
         white = self._binarise(cut)
         if glare is None:
-            white, unseen = white.copy(), 0.0
+            white, unseen = white if space is not None else white.copy(), 0.0
         else:
             # A network would take black under glare for pins; the reference's pixels are neutral.
             white = np.where(glare > 0, self._reference_binary, white)
