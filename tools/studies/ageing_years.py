@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from tacshade_edge.calibration.ageing.wears import KINDS, History, Kind, judge
+from tacshade_edge.calibration.ageing.wears import KINDS, History, Kind, judge, named_each_day
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.studies.evaluate.work import one_thread
 from tacshade_edge.lab.studies.markdown import markdown
@@ -129,13 +129,11 @@ def _design(days: Sequence[Day]) -> F64:
 
 def _sound(how: str, seed: int, year: History) -> SoundRow:
     """How often a year's days name something anew."""
-    before, kinds, alarms = set[Kind](), set[Kind](), 0
-    for history in _days_of(year):
-        named = {each.kind for each in judge(history) if each.named}
-        alarms += bool(named - before)
-        kinds |= named
-        before = named
-    return SoundRow(how, seed, len(year.days), alarms, "+".join(sorted(kinds)))
+    named = named_each_day(year)
+    begins = np.array([np.diff(each, prepend=False) & each for each in named.values()])
+    kinds = sorted(kind for kind, each in named.items() if each.any())
+    alarms = int(begins.any(axis=0).sum())
+    return SoundRow(how, seed, len(year.days), alarms, "+".join(kinds))
 
 
 def sound_table(rows: Sequence[SoundRow]) -> str:

@@ -13,9 +13,10 @@ from datetime import date
 from typing import Final, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from tacshade_edge.calibration.ageing.appearance import Appearance
-from tacshade_edge.types import F32, F64, I32, frozen
+from tacshade_edge.types import F32, F64, I32, Bool, frozen
 
 DAYS_MAX: Final = 730
 """Days that a history keeps: the latest."""
@@ -38,11 +39,14 @@ NAMED: Final[Mapping[Kind, float]] = {"light": 0.15, "markers": 0.15, "pins": 0.
 """The amount of each from which on it is named: more than a season and the days of a sound sensor
 bring."""
 RECENT: Final = 14
-"""Looks whose median counts: one may show a cold lamp, or an object that rests on the skin."""
-# Bent pins show in every look; dirt and what rests on the skin come and go.
-_LASTING = 0.25
-# If pins, which no lamp reaches, have lost this part of what the markers have, the light has gone.
-_LIGHT_PART = 0.5
+"""Looks of which most must agree: some show a cold lamp, or an object that rests on the skin."""
+# Wear shows in every look, dirt and what rests on the skin come and go: so what three in four looks
+# exceed is its amount. It stays named until three in four look better than this part of the amount
+# from which it was named: a season moves a reading by up to a third of that, to and fro.
+_MOST, _STAYS = 0.75, 2 / 3
+# If the dark has lost this part of what the white has, the light has gone: lamps take 0.85 or more
+# of it, and faded markers at most 0.65, as the dark between them has some of their white.
+_LIGHT_PART = 0.75
 _TREND_DAYS = 60
 # Deviations by which pairs of days must agree on a growth (Kendall 1938).
 _SURE = 3.0
@@ -81,19 +85,16 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """How far one kind of wear has come, in its `UNITS`, and the day since 1970 on which it is
-    expected to reach its limit; None if it does not grow, or not within ten years.
+    """How far one kind of wear has come, in its `UNITS`, whether it is worth a word (`named`), and
+    the day since 1970 on which it is expected to reach its limit; None if it does not grow, or not
+    within ten years.
     """
 
     kind: Kind
     amount: float
+    named: bool
     per_year: float | None
     limit_day: int | None
-
-    @property
-    def named(self) -> bool:
-        """Whether it is worth a word."""
-        return self.amount >= NAMED[self.kind]
 
     @property
     def beyond(self) -> bool:
@@ -105,8 +106,44 @@ def judge(history: History) -> tuple[Wear, ...]:
     """Each kind of wear; none before a history has `RECENT` days."""
     if len(history.days) < RECENT:
         return ()
-    amounts = _amounts(history.looks)
-    return tuple(_wear(kind, history.days, amounts[kind]) for kind in KINDS)
+    is_light = _is_light(history.looks[-RECENT:])
+    amounts, named = _amounts(history.looks, is_light), named_each_day(history)
+    return tuple(
+        _wear(kind, history.days, amounts[kind], named=bool(named[kind][-1])) for kind in KINDS
+    )
+
+
+def named_each_day(history: History) -> dict[Kind, Bool]:
+    """Whether each kind was named on each day, bool (N,), by the days until then.
+
+    A kind that is named stays so while its reading goes to and fro across the amount.
+    """
+    if len(history.days) < RECENT:
+        return {kind: np.zeros(len(history.days), bool) for kind in KINDS}
+    windows = np.moveaxis(sliding_window_view(history.looks, RECENT, axis=0), 2, 1)
+    amounts = _amounts(windows, _is_light(windows)[:, None])
+    lasting = {kind: _lasting(amounts[kind]) for kind in KINDS}
+    # Faded markers show the tip where it is not.
+    seen = {"gel": lasting["markers"] < LIMITS["markers"]}
+    named: dict[Kind, Bool] = {}
+    for kind in KINDS:
+        begins = (lasting[kind] >= NAMED[kind]) & seen.get(kind, True)
+        better = np.quantile(amounts[kind], _MOST, axis=1) < _STAYS * NAMED[kind]
+        unseen = np.zeros(RECENT - 1, bool)
+        named[kind] = np.concatenate((unseen, _held(begins, better)))
+    return named
+
+
+def _held(begins: Bool, ends: Bool) -> Bool:
+    """Whether something has begun and not ended since, bool (N,)."""
+    at = np.arange(len(begins))
+    begun, ended = (np.maximum.accumulate(np.where(when, at, -1)) for when in (begins, ends))
+    return np.asarray(begun > ended)
+
+
+def _lasting(amounts: F64) -> F64:
+    """What most of the latest looks exceed, along the last axis."""
+    return np.asarray(np.quantile(amounts, 1 - _MOST, axis=-1))
 
 
 def words(wear: Wear) -> str:
@@ -145,32 +182,40 @@ def shown(kind: Kind, amount: float) -> str:
     return f"{amount:.2f} mm" if kind == "gel" else f"{100 * amount:.0f} %"
 
 
-def _amounts(looks: F32) -> dict[Kind, F64]:
-    """The amount of each wear on each day, (N,)."""
-    table = dict(zip(COLUMNS, looks.astype(np.float64).T, strict=True))
+def _is_light(looks: F32) -> Bool:
+    """Whether the light has gone rather than the white, by the median of looks (..., N, columns),
+    (...).
+    """
+    white, dark = (
+        np.median(looks[..., COLUMNS.index(name)], axis=-1) for name in ("white", "dark")
+    )
+    return np.asarray(dark <= _LIGHT_PART * np.minimum(white, 0))
+
+
+def _amounts(looks: F32, is_light: Bool) -> dict[Kind, F64]:
+    """The amount of each wear in looks (..., N, columns), (..., N)."""
+    columns = np.moveaxis(looks.astype(np.float64), -1, 0)
+    table = dict(zip(COLUMNS, columns, strict=True))
     # On the side that is darkest now: one lamp of a ring dims one side.
     slope = np.hypot(table["slope_row"], table["slope_col"])
     lost = 1 - np.exp(np.minimum(table["white"] - slope, 0))
-    white, dark = (float(np.median(table[name][-RECENT:])) for name in ("white", "dark"))
-    is_light = dark <= _LIGHT_PART * min(white, 0.0)
-    none = np.zeros(len(looks))
     return {
-        "light": lost if is_light else none,
-        "markers": none if is_light else lost,
+        "light": np.where(is_light, lost, 0),
+        "markers": np.where(is_light, 0, lost),
         "pins": table["bent_part"],
         "gel": np.abs(table["sunk_mm"]),
     }
 
 
-def _wear(kind: Kind, days: I32, amounts: F64) -> Wear:
-    now = float(np.quantile(amounts[-RECENT:], _LASTING if kind == "pins" else 0.5))
+def _wear(kind: Kind, days: I32, amounts: F64, *, named: bool) -> Wear:
+    now = float(_lasting(amounts[-RECENT:]))
     per_day = _growth(days, amounts)
     if per_day is None:
-        return Wear(kind, now, None, None)
+        return Wear(kind, now, named, None, None)
     left = max((LIMITS[kind] - now) / per_day, 0.0)
     within = left <= _YEARS_MAX * _DAYS_PER_YEAR
     day = int(days[-1]) + math.ceil(left) if within else None
-    return Wear(kind, now, per_day * _DAYS_PER_YEAR, day)
+    return Wear(kind, now, named, per_day * _DAYS_PER_YEAR, day)
 
 
 def _growth(days: I32, amounts: F64) -> float | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from tacshade_edge.calibration.ageing.wears import (
     Wear,
     date_of,
     judge,
+    named_each_day,
     words,
 )
 
@@ -56,6 +59,7 @@ def test_a_sound_sensor_and_a_short_history_name_nothing() -> None:
         ("light", lambda day: {"white": -0.001 * day, "dark": -0.001 * day, "slope_row": 0.2}),
         ("markers", lambda day: {"white": -0.003 * day, "dark": -0.0005 * day}),
         ("markers", lambda day: {"white": -0.003 * day, "dark": 0.001 * day}),
+        ("markers", lambda day: {"white": -0.003 * day, "dark": -0.0019 * day}),
         ("pins", lambda day: {"bent_part": 0.02}),
         ("gel", lambda day: {"sunk_mm": 0.002 * day}),
         ("gel", lambda day: {"sunk_mm": -0.002 * day}),
@@ -94,6 +98,54 @@ def test_beyond_its_limit_nothing_is_forecast() -> None:
 def test_a_week_of_dirt_or_load_is_no_wear() -> None:
     spell = history(lambda day: {"bent_part": 0.2 if 90 <= day < 96 else 0.0})
     assert named(spell) == {}
+
+
+def test_what_rests_on_the_skin_for_half_of_the_looks_is_no_gel() -> None:
+    spells = history(lambda day: {"sunk_mm": 0.3 if day % 14 < 8 else 0.0}, 100)
+    assert named(spells) == {}
+
+
+def alarms(kind: str, look: Look, days: int = 365) -> int:
+    """How often a kind is named anew in a year, as seen day by day."""
+    found = history(look, days)
+    judged = [
+        kind in named(History(found.days[:k], found.looks[:k])) for k in range(RECENT, days + 1)
+    ]
+    return sum(now and not before for before, now in pairwise([False, *judged]))
+
+
+def test_a_reading_that_goes_to_and_fro_across_its_amount_is_one_alarm() -> None:
+    def swings(day: int) -> dict[str, float]:
+        return {"sunk_mm": NAMED["gel"] + 0.03 * math.sin(2 * math.pi * day / 60)}
+
+    assert alarms("gel", swings) == 1
+
+
+def test_a_kind_that_was_named_goes_once_most_looks_are_well_below() -> None:
+    def mended(day: int) -> dict[str, float]:
+        return {"bent_part": 0.02 if 40 <= day < 100 or day >= 160 else 0.0}
+
+    assert "pins" in named(history(mended, 105))
+    assert named(history(mended, 125)) == {}
+    assert alarms("pins", mended) == 2
+
+
+def test_faded_markers_are_not_taken_for_gel() -> None:
+    def faded(day: int) -> dict[str, float]:
+        return {"white": -0.008 * day, "dark": -0.001 * day, "sunk_mm": -0.002 * day}
+
+    # What they have lost is beyond its limit by day 70, before the tip seems to have swollen.
+    assert list(named(history(faded))) == ["markers"]
+
+
+def test_each_day_names_what_that_day_would_have_named() -> None:
+    grows = history(lambda day: {"white": -0.004 * day, "dark": -0.004 * day}, 60)
+    each = named_each_day(grows)
+    for k in range(RECENT, 61):
+        then = named(History(grows.days[:k], grows.looks[:k]))
+        assert [kind for kind in each if each[kind][k - 1]] == list(then)
+    assert not any(days[: RECENT - 1].any() for days in each.values())
+    assert not any(len(days) for days in named_each_day(History.empty()).values())
 
 
 def test_a_season_is_no_wear() -> None:
