@@ -119,7 +119,13 @@ def until_mapped(page: Chrome, name: str, revision: int) -> None:
     )
 
 
-def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top: str = "") -> None:
+def picture(
+    page: Chrome,
+    name: str,
+    size_px: tuple[int, int] | None = None,
+    top: str = "",
+    ready: Callable[[], bool] = lambda: True,
+) -> None:
     if PICTURES is None:
         return
     before = page.get_window_size()
@@ -131,6 +137,7 @@ def picture(page: Chrome, name: str, size_px: tuple[int, int] | None = None, top
         )
     if top:
         page.execute_script("document.getElementById(arguments[0]).scrollIntoView()", top)
+    wait_until(ready, 60, f"what {name} shows")
     Path(PICTURES).mkdir(parents=True, exist_ok=True)
     page.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
     page.set_window_size(before["width"], before["height"])

@@ -42,6 +42,7 @@ from support.shown_page import (
     picture,
     shows,
     text,
+    unfold_health,
     until_shown,
 )
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -143,7 +144,10 @@ def test_profile_and_zero_are_changed_through_requests(
         page.find_element(By.ID, "rezero").click()
         shows(page, "answer", "Took a new zero", 30)
         drawn(page)
-        picture(page, "dashboard", (1000, 1480))
+        picture(page, "dashboard", (1000, 1480), ready=lambda: "object" in text(page, "n-contact"))
+        wait_until(lambda: page.find_element(By.ID, "lived").is_displayed(), 15, "a contact")
+        unfold_health(page)
+        shows(page, "tables", "messages that the page could not read 0")
         wait_until(
             lambda: page.find_element(By.ID, "rezero").is_enabled(), 15, "it may be asked again"
         )
@@ -231,9 +235,8 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
         page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", device)
         page.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
         opened(page, address)
-        until_shown(
-            page, sensor, lambda: dragged(bump(1, 2.4, DISC.row_c, DISC.col_c, 4), 1.0, 0.0), 1
-        )
+        touching = dragged(bump(1, 2.4, DISC.row_c, DISC.col_c, 4), 1.0, 0.0)
+        until_shown(page, sensor, lambda: touching, 1)
         shows(page, "n-slip", "sticks")
         for name in ("state", "n-contact", "n-depth", "n-slip", "cells", "bar", "ticks", "cursor"):
             ((left, top, right, bottom),) = boxes(page, f"#{name}")
@@ -247,7 +250,12 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
             ".filter((e) => e.checkVisibility()).map((e) => e.getBoundingClientRect().height))",
         )
         assert least >= 40, "a finger needs this much"
-        picture(page, "dashboard-phone")
+
+        def fresh() -> bool:
+            sensor.show(touching)
+            return not page.find_element(By.ID, "stale").is_displayed()
+
+        picture(page, "dashboard-phone", ready=fresh)
         assert errors(page) == []
 
 

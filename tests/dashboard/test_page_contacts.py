@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from support.shown_page import NEEDS_A_BROWSER, js, opened, picture, shows, text
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.types import Reconstruction, Touch
 from tacshade_edge.wire import codec, messages
+from tacshade_edge.wire.sensor_topics import ContactEvent
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -83,22 +85,25 @@ def test_contacts_are_listed_newest_first(
     page: Chrome, address: str, sensor: PublishedSensor
 ) -> None:
     page.get(f"{address}#drawn")
-    base = {
-        "t_ns": 4_000_000_000,
-        "wall_ns": 1,
-        "start_ns": 1_000_000_000,
-        "end_ns": None,
-        "depth_max_mm": 1.5,
-    }
-    ended = {"id": 1, "type": "end", "end_ns": 3_500_000_000, "slip": 2}
+    begun = ContactEvent(
+        type="new",
+        id=1,
+        t_ns=4_000_000_000,
+        wall_ns=1,
+        start_ns=1_000_000_000,
+        depth_max_mm=1.5,
+    )
+    ended = replace(begun, type="end", end_ns=3_500_000_000, slip=2, reason_code="torn")
+    events = [codec.encode_json(each) for each in (begun, ended, replace(begun, id=2))]
+    damaged = json.loads(events[-1]) | {"id": "x"}
     rows = (
         "return [...document.querySelectorAll('#lived-list tr')].map((row) => "
         "row.innerText.split('\\t'))"
     )
 
     def listed() -> bool:
-        for more in ({"id": 1, "type": "new"}, ended, {"id": 2, "type": "update"}, {"id": "x"}):
-            sensor.publish("event/contact", codec.encode_json(base | more))
+        for payload in (*events, json.dumps(damaged).encode()):
+            sensor.publish("event/contact", payload)
         return len(page.execute_script(rows)) == 3
 
     wait_until(listed, 15, "the list")

@@ -117,7 +117,8 @@ def test_every_lost_frame_counts_and_a_start_is_no_rate(
         "600",
         "",  # still among the latest 512
     ]
-    assert page.find_element(By.ID, "n-fps").get_attribute("data-level") == "warn"
+    colour = "getComputedStyle(document.getElementById('{}')).color"
+    assert js(page, colour.format("n-fps")) != js(page, colour.format("n-latency"))
     sensor.publish("health", json.dumps(slow | {"uptime_s": 40}).encode())
     shows(page, "n-latency-99", "670")
 

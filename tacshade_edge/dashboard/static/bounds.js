@@ -68,11 +68,12 @@ export function checkInfo(info) {
 
 export const checkContact = (contact) => checkNumbers(contact, NUMBERS_OF_CONTACT);
 
-/** An `event/contact`: its times are there, and what else it has are numbers. */
+/** An `event/contact`: its times are there, and what else it has are numbers, but for why it ended. */
 export function checkEvent(event) {
-  const { type, ...numbers } = event;
+  const { type, reason_code = "", ...numbers } = event;
   if (![event.id, event.t_ns, event.start_ns].every(Number.isFinite) || (type === "end" && !Number.isFinite(event.end_ns))) throw new Error("not a contact event");
   if (!Object.values(numbers).every((value) => value === null || Number.isFinite(value))) throw new Error("not numbers");
+  if (typeof reason_code !== "string") throw new Error("not a reason");
   return event;
 }
 
