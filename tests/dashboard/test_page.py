@@ -52,6 +52,9 @@ from tacshade_edge.wire import codec, messages
 
 pytestmark = NEEDS_A_BROWSER
 
+TOUCHED_IN_TIME = """document.getElementById("n-contact").value.includes("object")
+  && !document.getElementById("n-fps").dataset.level"""
+
 
 def test_every_cell_has_the_colour_of_its_depth(
     page: Chrome, address: str, sensor: PublishedSensor
@@ -144,7 +147,7 @@ def test_profile_and_zero_are_changed_through_requests(
         page.find_element(By.ID, "rezero").click()
         shows(page, "answer", "Took a new zero", 30)
         drawn(page)
-        picture(page, "dashboard", (1000, 1480), ready=lambda: "object" in text(page, "n-contact"))
+        picture(page, "dashboard", (1000, 1500), ready=lambda: js(page, TOUCHED_IN_TIME))
         wait_until(lambda: page.find_element(By.ID, "lived").is_displayed(), 15, "a contact")
         unfold_health(page)
         shows(page, "tables", "messages that the page could not read 0")

@@ -139,7 +139,7 @@ def test_every_finger_is_shown_and_what_it_touches_in_the_hands_frame(
     assert [float(dot.get_attribute(key) or "nan") for key in ("cx", "cy")] == [-79.0, -34.25]
     assert len(page.find_elements(By.CSS_SELECTOR, "#whole-plane .skin")) == 5
     assert not page.find_element(By.ID, "sensor").is_displayed()
-    picture(page, "dashboard-hand", (1200, 1100))
+    picture(page, "dashboard-hand", (1200, 1010))
 
     def released() -> bool:
         whole.publish(None)
@@ -235,4 +235,4 @@ def test_what_is_held_is_drawn_as_one_body_that_moves(
     first = drawn(moved_by(0, 10), -80 * math.cos(turned))[0]
     assert first[1] == pytest.approx(-80 * math.sin(turned)), "what has x < 0 goes up"
     shows(page, "whole-axes", "since it was grasped moved by 0.0 mm, turned by 10.0°")
-    picture(page, "dashboard-hand-moved", (1200, 1100))
+    picture(page, "dashboard-hand-moved", (1200, 1010))
