@@ -73,6 +73,14 @@ def test_its_exposure_is_at_most_the_promised(tmp_path: Path, name: str) -> None
     assert 0.1 < float(exposure) <= EXPOSURE_MAX
 
 
+@pytest.mark.parametrize("name", ["tacshade-edge.service", "tacshade-dashboard.service"])
+def test_a_minimal_debian_has_every_program_of_the_units(name: str) -> None:
+    text = (FILES / name).read_text()
+    programs = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", text, re.MULTILINE)
+    assert PROGRAM in programs
+    assert set(programs) <= {PROGRAM, "/bin/sh"}
+
+
 def install(root: Path, *words: str, **environment: str) -> str:
     environ = {"DESTDIR": str(root), "PATH": "/usr/bin:/bin", **environment}
     done = subprocess.run(
