@@ -49,6 +49,7 @@ from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import Slip
 from tacshade_edge.wire import codec, messages
+from tacshade_edge.wire.sensor_topics import ContactEvent
 
 pytestmark = NEEDS_A_BROWSER
 
@@ -246,6 +247,10 @@ def test_a_phone_shows_what_matters_on_one_screen(tmp_path: Path) -> None:
             assert 0 <= left < right <= width, name
             assert 0 <= top < bottom <= height, name
         assert boxes(page, "#cells")[0][2] - boxes(page, "#cells")[0][0] > 300
+        ended = ContactEvent(type="end", id=1, t_ns=2, start_ns=1, end_ns=2, slip=1, objects=1)
+        sensor.publish("event/contact", codec.encode_json(ended))
+        wait_until(lambda: page.find_element(By.ID, "lived").is_displayed(), 15, "a contact")
+        page.execute_script("document.getElementById('lived').open = true")
         assert js(page, "document.documentElement.scrollWidth") <= width
         least = js(
             page,
