@@ -31,9 +31,6 @@ ADAPTIVE_FLOOR = 0.6
 # round.
 _MORE = np.float32(1 / 64)
 
-# Half of the steps of which interpolated values are multiples.
-_HALF_STEP = np.float32(1 / 128)
-
 BLOCK_PX = 4
 """Side of the blocks whose means form the local mean."""
 
@@ -61,7 +58,6 @@ class Binariser:
         self._inside = padded(mask, BLOCK_PX, 0)
         self._opaque: U8 = np.multiply(self._inside, 255, dtype=np.uint8)
         self._masked, self._white, self._threshold = (np.zeros_like(self._inside) for _ in range(3))
-        self._finer: F32 = np.empty(self._inside.shape, np.float32)
         self._box = (odd(ADAPTIVE_PITCHES * pitch_px / BLOCK_PX),) * 2
         # A block partly outside the disc would round to another mean.
         self._whole: U8 = np.where(_quarter(self._opaque) == _WHOLE, np.uint8(255), np.uint8(0))
@@ -85,7 +81,13 @@ class Binariser:
             least = ADAPTIVE_FLOOR * cv2.sumElems(parts)[0] / max(self._blocks, 1)
             # For a whole number grey, grey > t is grey > floor(t); no t comes near 256.
             whole = np.maximum(local, np.float32(least)).astype(np.uint8)
-            finer(whole, self._finer, self._threshold)
+            # EXACT: the same levels on every processor.
+            cv2.resize(
+                whole,
+                self._masked.shape[::-1],
+                dst=self._threshold,
+                interpolation=cv2.INTER_LINEAR_EXACT,
+            )
             cv2.compare(self._masked, self._threshold, cv2.CMP_GT, dst=self._white)
         else:
             cv2.threshold(self._masked, self._split(), 255, cv2.THRESH_BINARY, dst=self._white)
@@ -112,16 +114,6 @@ class Binariser:
 def binarise(grey: U8, mask: U8, method: Binarisation, pitch_px: float) -> U8:
     """Binarise a single image; see `Binariser`."""
     return Binariser(mask, method, pitch_px)(grey)
-
-
-def finer(coarse: U8, space: F32, made: U8) -> None:
-    """Interpolate an image linearly to `BLOCK_PX` times its size, in `made`, rounded half up."""
-    # OpenCV's interpolation of uint8 that is the same on every processor (INTER_LINEAR_EXACT) takes
-    # three times as long. All weights are 64ths, so that float32 is exact too; 1/128 more, and
-    # rounding half to even rounds halves up.
-    shifted = coarse + _HALF_STEP
-    cv2.resize(shifted, space.shape[::-1], dst=space, interpolation=cv2.INTER_LINEAR)
-    cv2.convertScaleAbs(space, dst=made)
 
 
 def padded(image: U8, multiple: int, value: int) -> U8:

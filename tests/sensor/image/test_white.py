@@ -18,7 +18,6 @@ from tacshade_edge.sensor.image.white import (
     CellMeans,
     Integrator,
     binarise,
-    finer,
     halved,
     level_at,
     median,
@@ -97,27 +96,6 @@ def test_the_threshold_is_the_exact_one_within_its_bound(
     above = grey - exact_threshold(grey, mask, pitch)
     sure = (mask > 0) & (np.abs(above) > THRESHOLD_LSB)
     np.testing.assert_array_equal(white[sure] > 0, above[sure] > 0)
-
-
-@examples(60)
-@given(st.integers(1, 40), st.integers(1, 40), st.sampled_from([1, 255]), st.integers(0, 2**32 - 1))
-def test_the_finer_threshold_is_the_exact_one_rounded_half_up(
-    rows: int, cols: int, top: int, seed: int
-) -> None:
-    coarse = np.random.default_rng(seed).integers(0, top + 1, (rows, cols), dtype=np.uint8)
-    space, made = (np.empty((4 * rows, 4 * cols), kind) for kind in (np.float32, np.uint8))
-    finer(coarse, space, made)
-
-    def along(values: F64) -> F64:
-        at = np.clip((np.arange(4 * len(values)) + 0.5) / 4 - 0.5, 0, len(values) - 1)
-        low = np.minimum(at.astype(int), max(len(values) - 2, 0))
-        part = (at - low)[:, None]
-        return values[low] * (1 - part) + values[np.minimum(low + 1, len(values) - 1)] * part
-
-    exact = along(along(coarse.astype(np.float64)).T).T
-    np.testing.assert_array_equal(made, np.floor(exact + 0.5))
-    opencvs = cv2.resize(coarse, made.shape[::-1], interpolation=cv2.INTER_LINEAR_EXACT)
-    np.testing.assert_array_equal(made, opencvs)
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 8), st.integers(0, 2**32 - 1))
