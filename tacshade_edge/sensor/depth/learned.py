@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeVar, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -22,9 +22,7 @@ from tacshade_edge.sensor.geometry import disc_map
 from tacshade_edge.sensor.geometry.disc_map import rays_in_image
 from tacshade_edge.sensor.image.preprocess import Preprocessed, Preprocessor
 from tacshade_edge.sensor.image.white import CellMeans
-from tacshade_edge.types import F32, I64, Bool, Geometry, frozen
-
-Maps = TypeVar("Maps", F32, I64)
+from tacshade_edge.types import F32, Bool, Geometry, frozen
 
 KNOWN = 6  # number of maps of `disc_map.geometry_maps`
 
@@ -86,12 +84,15 @@ def fold(maps: F32, by: int) -> F32:
     return np.ascontiguousarray(folded).reshape(by * by * c, part, part)
 
 
-def unfold(maps: Maps, by: int) -> Maps:
+def unfold(maps: F32, by: int) -> F32:
     """Invert `fold`: (by² C, N/by, N/by) to (C, N, N)."""
-    c, part, _ = maps.shape
-    unfolded = maps.reshape(c // by**2, by, by, part, part).transpose(0, 3, 1, 4, 2)
-    made: Maps = np.ascontiguousarray(unfolded).reshape(c // by**2, by * part, by * part)
-    return made
+    count, part = len(maps) // by**2, maps.shape[1]
+    folded = maps.reshape(count, by, by, part, part)
+    made = np.empty((count, part, by, part, by), maps.dtype)
+    # Plane by plane: NumPy's copy of the turned view goes value by value.
+    for row, col in np.ndindex(by, by):
+        made[:, :, row, :, col] = folded[:, row, col]
+    return made.reshape(count, by * part, by * part)
 
 
 class _Prepared:
@@ -144,21 +145,11 @@ class Inverse:
 class LearnedInverse(_Prepared):
     """The network of depth, prepared for one sensor."""
 
-    def __init__(
-        self, network: Network, geometry: Geometry, pitch_px: float, reference_white: F32
-    ) -> None:
-        super().__init__(network, geometry, pitch_px, reference_white)
-        self._per_mm = self._mm / self._ratio
-        # Where `unfold` finds each value of the network's maps: it copies single values, which
-        # takes up to three times as long as to take them.
-        by, part = network.fold, network.cells // network.fold
-        self._unfolded = unfold(np.arange(2 * network.cells**2).reshape(-1, part, part), by)
-
     def __call__(self, white: F32, features: Features | None = None) -> Inverse:
         """The result for a frame's white, float32 (cells, cells), 0 to 1."""
         maps, untrusted = self._run(white, features)
-        height, logit = maps.take(self._unfolded, mode="clip")  # no index exceeds the range
-        return Inverse(height * self._per_mm, logit, untrusted[0])
+        height, logit = unfold(maps, self._network.fold)
+        return Inverse(height * (self._mm / self._ratio), logit, untrusted[0])
 
 
 class LearnedSolver:
