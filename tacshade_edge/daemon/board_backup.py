@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from tacshade_edge.calibration.files import ageing_file, objects_file, reference_file
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, part, sync, write_whole
+from tacshade_edge.files.file_kinds import kind_at
 from tacshade_edge.files.targets import one_at_a_time
 from tacshade_edge.quoting import shown
 from tacshade_edge.settings import Document, load_all
@@ -109,7 +110,8 @@ def _opened(backup: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(backup) as file:
             infos = file.infolist()
             if not infos or infos[0].filename != SETTINGS:
-                raise DecodeError(f"{shown(backup)}: found no {SETTINGS} at its start, {expected}")
+                found = kind_at(backup) or f"no {SETTINGS} at its start"
+                raise DecodeError(f"{shown(backup)}: found {found}, {expected}")
             if sum(each.file_size for each in infos) > _BYTES_MAX:
                 raise DecodeError(
                     f"{shown(backup)}: found more than {_BYTES_MAX >> 30} GiB, {expected}"
@@ -118,7 +120,8 @@ def _opened(backup: Path) -> Iterator[zipfile.ZipFile]:
                 raise DecodeError(f"{shown(backup)}: {shown(damaged)} in it is damaged, {expected}")
             yield file
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError) as error:
-        raise DecodeError(f"{shown(backup)}: {error}, {expected}") from None
+        found = f"found {kind}" if (kind := kind_at(backup)) else str(error)
+        raise DecodeError(f"{shown(backup)}: {found}, {expected}") from None
     except OSError as error:
         if error.filename != str(backup):
             raise

@@ -2,6 +2,6 @@
 
 In: paths, bytes, arrays. Out: images, meshes, tables, pictures for people.
 Threads: none.
-Other rooms use: `atomic_files`, `drawing`, `image_bytes`, `images`, `meshes`, `npz`, `tables`,
-    `targets`.
+Other rooms use: `atomic_files`, `drawing`, `file_kinds`, `image_bytes`, `images`, `meshes`, `npz`,
+    `tables`, `targets`.
 """

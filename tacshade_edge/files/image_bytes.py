@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacshade_edge.errors import DecodeError
+from tacshade_edge.files.file_kinds import kind_of
 from tacshade_edge.types import U8
 
 # OpenCV has such a limit too, but reads it from the environment when it is loaded: a program that
@@ -58,7 +59,10 @@ def decode_image(data: bytes, flags: int) -> U8:
             )
     size_px = _size_px(data)
     if size_px is None or 0 in size_px:
-        raise DecodeError(f"found {len(data)} bytes that are not an image, expected a whole image")
+        kind = kind_of(data)
+        if not kind or kind.endswith("image"):
+            kind = f"{len(data)} bytes that are not an image"
+        raise DecodeError(f"found {kind}, expected a whole image")
     width, height = size_px
     if max(size_px) > SIDE_MAX_PX or width * height > PIXELS_MAX:
         expected = (

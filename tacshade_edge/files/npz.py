@@ -23,6 +23,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.files.file_kinds import kind_at, npz_kind
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import read_regular
 
@@ -35,6 +36,7 @@ BYTES_MAX: Final = 64 << 20
 _MEMBERS_MAX: Final = 256
 # Begins each entry of the directory, which zipfile reads whole.
 _ENTRY: Final = b"PK\x01\x02"
+_START: Final = b"PK\x03\x04"
 # numpy and zipfile raise these on damaged bytes (TypeError: a .npy; RuntimeError:
 # a flag or method zipfile lacks).
 _DAMAGE: Final = (
@@ -81,8 +83,8 @@ def read(name: str, what: str, writer: str) -> Content:
         # In the file's order; another version may have other arrays, which its checksum covers.
         arrays = read_arrays(name, BYTES_MAX)
         meta, crc = arrays.pop("meta").tobytes(), int(arrays.pop("crc32"))
-        known = json.loads(meta)
-        if not isinstance(known, dict):
+        values = json.loads(meta)
+        if not isinstance(values, dict):
             raise ValueError("found other JSON than a record")
     except OSError as error:
         raise ConfigError(
@@ -90,16 +92,20 @@ def read(name: str, what: str, writer: str) -> Content:
             f"expected a file written by {writer}"
         ) from None
     except (DecodeError, KeyError, ValueError, TypeError, RecursionError):
+        kind = kind_at(name)
+        if kind and what not in kind:
+            found = f"found {kind}; expected a {what} written by {writer}"
+        else:
+            found = f"the file is damaged or not a {what}; expected a file written by {writer}"
+        raise ConfigError(f"{shown(name)}: {found}") from None
+    if what and (other := npz_kind(arrays, meta)) not in ("", what):
+        raise ConfigError(f"{name}: found a {other}; expected a {what} written by {writer}")
+    if (checksum := _crc32(meta, arrays)) != crc:
         raise ConfigError(
-            f"{shown(name)}: the file is damaged or not a {what}; "
-            f"expected a file written by {writer}"
-        ) from None
-    if (found := _crc32(meta, arrays)) != crc:
-        raise ConfigError(
-            f"{name}: the file is damaged: found checksum {found:08x}, "
+            f"{name}: the file is damaged: found checksum {checksum:08x}, "
             f"expected the stored {crc:08x}"
         )
-    return Content(known, arrays)
+    return Content(values, arrays)
 
 
 def is_read(data: bytes) -> bool:
@@ -155,6 +161,9 @@ def read_arrays(
         data = read_regular(path, bytes_max)
         if data.count(_ENTRY) > _MEMBERS_MAX:
             raise ValueError("too many arrays")
+        # zipfile also finds an archive behind other bytes, such as one in a recording.
+        if not data.startswith(_START):
+            raise ValueError("File is not a zip file")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
             # Two readers might disagree on which of them counts.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from tacshade_edge.errors import ConfigError, DeviceError
+from tacshade_edge.files.file_kinds import kind_of
 from tacshade_edge.quoting import quoted, shown
 from tacshade_edge.regular_files import decoded, read_regular
 
@@ -242,5 +243,7 @@ def _text(path: Path, what: str, bytes_max: int) -> str:
     try:
         return decoded(data)
     except UnicodeDecodeError as error:
+        if kind := kind_of(data):
+            raise ConfigError(f"{path}: found {kind}, expected a CSV file of {what}") from None
         line = data[: error.start].count(b"\n") + 1
         raise ConfigError(f"{path}:{line}: not a CSV file: {error}; save it as UTF-8") from None

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from tacshade_edge.errors import ConfigError, DecodeError
+from tacshade_edge.files.file_kinds import kind_at
 from tacshade_edge.files.image_bytes import PIXELS_MAX, SIDE_MAX_PX
 from tacshade_edge.quoting import counted, shown
 from tacshade_edge.recording.frame_table import T_NS_MAX
@@ -183,4 +184,4 @@ def _unreadable(path: Path) -> str:
             f"found a video of {counted(size, 'byte')} without its index (moov), which is written "
             "last: its writer or its copy was cut off; expected the whole file"
         )
-    return f"found a file that OpenCV cannot read, {expected}"
+    return f"found {kind_at(path) or 'a file that OpenCV cannot read'}, {expected}"

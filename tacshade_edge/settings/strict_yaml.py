@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from tacshade_edge.errors import ConfigError
+from tacshade_edge.files.file_kinds import kind_of
 from tacshade_edge.quoting import shown
 from tacshade_edge.regular_files import decoded, read_regular
 
@@ -162,6 +163,8 @@ def parse(path: Path, data: bytes) -> YamlFile:
     try:
         text = decoded(data)
     except UnicodeDecodeError as error:
+        if kind := kind_of(data):
+            raise ConfigError(f"{path}: found {kind}, expected a YAML file") from None
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(
             f"{path}:{line}: found byte 0x{data[error.start]:02x}, expected UTF-8 text"

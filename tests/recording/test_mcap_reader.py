@@ -5,6 +5,8 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("mcap")
@@ -23,6 +25,9 @@ from tacshade_edge.recording.mcap.reader import (
     Summary,
     attachments_in,
 )
+from tacshade_edge.recording.mcap.writer import McapWriter
+from tacshade_edge.recording.recording import Recording
+from tacshade_edge.types import Frame
 
 Pack = Callable[[bytes], bytes]
 PACKINGS: dict[str, Pack] = {
@@ -232,3 +237,24 @@ def test_descriptions_are_bounded(tmp_path: Path) -> None:
     assert times == [5]
     assert len(reported) == 1
     assert "skipping the damaged record" in reported[0]
+
+
+@pytest.mark.slow
+def test_a_noisy_picture_of_the_most_pixels_is_read_or_named_in_a_line(tmp_path: Path) -> None:
+    """Noise has no smaller PNG: 17 MB in grey, 50 MB in colour."""
+    noise = np.random.default_rng(0).integers(0, 256, (4096, 4096, 3), dtype=np.uint8)
+    for image, is_read in ((noise[..., 0], True), (noise, False)):
+        png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1].tobytes()
+        path = tmp_path / "a.mcap"
+        with path.open("wb") as stream:
+            writer = McapWriter(stream, "left")
+            writer.frame("000000.png", Frame(0, 1000, 5, noise[..., 0]), png, 5)
+            writer.finish()
+        recording = Recording(path)
+        if is_read:
+            recorded = recording.read()
+            assert recorded is not None
+            np.testing.assert_array_equal(recorded.frame.image, image)
+        else:
+            with pytest.raises(DecodeError, match=r"found 50\d+ bytes, expected at most 33554432$"):
+                recording.read()

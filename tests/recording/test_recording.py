@@ -135,7 +135,7 @@ def test_nothing_to_replay(tmp_path: Path, folder: Path) -> None:
     begun(tmp_path / "begun").close()
     with pytest.raises(ConfigError, match=r"frames\.csv\.part: found no rows"):
         Recording(tmp_path / "begun")
-    with pytest.raises(ConfigError, match="found a file that OpenCV cannot read"):
+    with pytest.raises(ConfigError, match=r"found text that begins with .*, expected a video file"):
         Recording(folder / "frames.csv")
     with pytest.raises(
         ConfigError,

@@ -247,7 +247,7 @@ def test_what_cannot_be_one_is_refused_in_one_line(
 
 def test_other_files_and_none_that_can_be_read(path: Path) -> None:
     calibration_file.save(path, CALIBRATED)
-    with pytest.raises(ConfigError, match="not a version 2 reference file"):
+    with pytest.raises(ConfigError, match="found a calibration; expected a stored reference"):
         reference_file.load(path, CALIBRATED)
     path.write_bytes(b"PK\x03\x04" * 9)
     with pytest.raises(ConfigError, match="reference"):

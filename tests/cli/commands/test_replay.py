@@ -125,7 +125,7 @@ def test_an_unreadable_image_does_not_stop_the_others(
     assert main(words(folder, "--out", str(folder / "out"))) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "000001.png: found 4 bytes that are not an image" in err
+    assert "000001.png: found text that begins with 'torn', expected a whole image" in err
     assert [r["seq"] for r in summary(folder / "out")] == [0, 2, 3, 4]
 
 

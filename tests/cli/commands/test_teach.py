@@ -154,7 +154,7 @@ def test_a_damaged_file_of_objects_is_one_line(
     objects_file.path_beside(calibration).write_bytes(b"PK")
     assert recognise(calibration, images / "ball.png") == EXIT_CONFIG
     (line,) = capsys.readouterr().err.splitlines()
-    assert "cal.objects.npz: the file is damaged or not a file of objects" in line
+    assert "cal.objects.npz: found text that begins with 'PK'; expected a file of objects" in line
 
 
 def test_the_deepest_frame_of_each_contact_is_taken() -> None:

@@ -362,5 +362,5 @@ def test_what_cannot_be_scored_is_reported_and_the_others_go_on(tmp_path: Path) 
             "height_mm and contact"
         ),
         "large.png: found 320x240 px, expected 160x120 px, the size of the calibration's images",
-        "text.png: found 8 bytes that are not an image, expected a whole image",
+        "text.png: found text that begins with 'no image', expected a whole image",
     ]

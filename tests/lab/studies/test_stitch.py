@@ -204,6 +204,6 @@ def test_a_map_that_is_none(tmp_path: Path, change: dict[str, object]) -> None:
 
 def test_a_damaged_and_a_missing_file(tmp_path: Path) -> None:
     (tmp_path / "bad.npz").write_bytes(b"no zip")
-    for name, why in (("bad.npz", "not a known surface"), ("none.npz", "No such file")):
+    for name, why in (("bad.npz", "no known surface"), ("none.npz", "No such file")):
         with pytest.raises(ConfigError, match=f"{name}: .*{why}"):
             read_known(tmp_path / name)

@@ -223,7 +223,9 @@ def test_what_is_none_of_these_forms_is_not_decoded(monkeypatch: pytest.MonkeyPa
         png(0, 5),
         long,
     ):
-        with pytest.raises(DecodeError, match=rf"found {len(data)} bytes that are not an image"):
+        with pytest.raises(
+            DecodeError, match=rf"found ({len(data)} bytes that are not an image|text that )"
+        ):
             decode_image(data, FLAGS)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from tacshade_edge.errors import ConfigError, DecodeError
 from tacshade_edge.files.drawing import BAR_WIDTH_PX, Axis, framed
+from tacshade_edge.files.file_kinds import kind_at
 from tacshade_edge.files.npz import numbers, read_arrays
 from tacshade_edge.stitching.stitcher import Raster
 from tacshade_edge.types import F32, F64, U8
@@ -64,9 +65,10 @@ def read_known(path: Path) -> Raster:
             f"{path}: {error.strerror or error}, expected a known surface (.npz)"
         ) from None
     except (DecodeError, KeyError) as error:
+        kind = kind_at(path)
+        found = f"{kind} is no known surface" if kind else f"the file is no known surface: {error}"
         raise ConfigError(
-            f"{path}: the file is not a known surface: {error}; expected the keys z_mm, x0_mm, "
-            "y0_mm and step_mm"
+            f"{path}: {found}; expected the keys z_mm, x0_mm, y0_mm and step_mm"
         ) from None
 
 
