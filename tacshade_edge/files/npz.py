@@ -93,7 +93,7 @@ def read(name: str, what: str, writer: str) -> Content:
         ) from None
     except (DecodeError, KeyError, ValueError, TypeError, RecursionError):
         kind = kind_at(name)
-        if kind and what not in kind:
+        if kind and f"a {what}" not in kind:
             found = f"found {kind}; expected a {what} written by {writer}"
         else:
             found = f"the file is damaged or not a {what}; expected a file written by {writer}"
