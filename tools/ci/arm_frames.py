@@ -5,18 +5,20 @@
 
     arm_frames.py write FOLDER
     arm_frames.py reconstruct FOLDER OUT
-    arm_frames.py step FOLDER PROFILE IMAGE LAST PORT COUNT
+    arm_frames.py step FOLDER PROFILE PORT [last]
 
 ``write`` makes calibration.npz, images.npy and images: a free skin, then presses. ``reconstruct``
-writes each profile's result of each image to OUT.npz. ``step`` takes the same frame COUNT times, to
-count instructions: LAST is the last stage that it goes through, of `STAGES`, PORT that of a broker
-on this machine.
+writes each profile's result of each image to OUT.npz. ``step`` takes the frames of `stages_of`, or
+the last of each image, `COUNT` times each between two marks, at which tools/rig/count_instructions
+counts; PORT is that of a broker on this machine.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,9 @@ from tacshade_edge.types import Frame, Need
 DEPTHS_MM = (0.6, 1.5, 3.0, 4.5)
 FREE, PRESSED = 0, 3
 """Indices in images.npy."""
+COUNT = 5
+MARK = 0x7AC5ADE
+"""Of tools/rig/count_instructions.c."""
 
 
 def write(folder: Path) -> None:
@@ -96,43 +101,78 @@ STAGES: dict[str, Need] = {
 """
 
 
-def step(folder: Path, profile: str, image: int, last: str, port: int, count: int) -> None:
-    """Process frames as the daemon does for subscribers up to stage `last`."""
-    calibration = calibration_file.load(folder / "calibration.npz")
-    made, tracker = make_reconstructor(calibration, PROFILES[profile]), ContactTracker()
-    shown = np.load(folder / "images.npy")[image]
-    link = None
-    waiting = threading.Semaphore(0)
-    if last == "publish":
-        link = MqttLink(
+def stages_of(profile: str, image: int) -> list[str]:
+    """The stages of a frame, in order."""
+    if image == FREE:
+        return ["gate"]
+    return [stage for stage in STAGES if profile != "paper" or stage not in ("shear", "sigma")]
+
+
+def mark() -> None:
+    """Make the emulator print how many instructions it has executed."""
+    with suppress(ProcessLookupError):
+        os.getpgid(MARK)
+
+
+class Steps:
+    """Frames of one profile, processed as the daemon does for subscribers."""
+
+    def __init__(self, folder: Path, profile: str, port: int) -> None:
+        self._calibration = calibration_file.load(folder / "calibration.npz")
+        self._profile = PROFILES[profile]
+        self._images = np.load(folder / "images.npy")
+        self._sent = threading.Semaphore(0)
+        self._link = MqttLink(
             broker_at("127.0.0.1", port),
             base_topic="tacshade/counted",
             client_id="counted",
             on_request=lambda _: None,
-            on_outcome=lambda *_: waiting.release(),
+            on_outcome=lambda *_: self._sent.release(),
         )
-        link.start()
-        while link.reason is not None:
-            threading.Event().wait(0.1)
-    offered = 0
 
-    def offer(stream: str, payload: bytes, seq: int) -> None:
-        nonlocal offered
-        if link is not None:
-            offered += 1
-            link.offer(stream, payload, seq)
-
-    publisher = Publisher(offer, lambda *_: None, lambda *_: None)
-    for k in range(count):
-        frame = Frame(k, 16_666_667 * k, 0, shown)
-        result = step_and_track(made, tracker, frame, need=STAGES[last])
-        if last in ("encode", "publish"):
-            publisher.see(FrameResult(frame, calibration, result, 0.0))
-        for _ in range(offered):
-            waiting.acquire()
+    def run(self, image: int, last: str) -> None:
+        """Process an image up to stage `last`: once, then `COUNT` times between two marks."""
+        made, tracker = make_reconstructor(self._calibration, self._profile), ContactTracker()
         offered = 0
-    if link is not None:
-        link.stop(2.0)
+
+        def offer(stream: str, payload: bytes, seq: int) -> None:
+            nonlocal offered
+            if last == "publish":
+                offered += 1
+                self._link.offer(stream, payload, seq)
+
+        publisher = Publisher(offer, lambda *_: None, lambda *_: None)
+        for k in range(1 + COUNT):
+            if k == 1:
+                mark()
+            frame = Frame(k, 16_666_667 * k, 0, self._images[image])
+            result = step_and_track(made, tracker, frame, need=STAGES[last])
+            if last in ("encode", "publish"):
+                publisher.see(FrameResult(frame, self._calibration, result, 0.0))
+            for _ in range(offered):
+                self._sent.acquire()
+            offered = 0
+        mark()
+
+    def connect(self) -> None:
+        """Wait until the broker has answered, however slow this processor is."""
+        self._link.start()
+        self._link.wait_until_settled(threading.TIMEOUT_MAX)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._link.stop(2.0)
+
+
+def step(folder: Path, profile: str, port: int, *, only_last: bool) -> None:
+    """Process the frames whose instructions are counted, in the order of `stages_of`."""
+    steps = Steps(folder, profile, port)
+    for image in (FREE, PRESSED):
+        for stage in stages_of(profile, image)[-1 if only_last else 0 :]:
+            if stage == "publish":
+                steps.connect()  # not before: its pings would count
+            steps.run(image, stage)
+    steps.close()
 
 
 if __name__ == "__main__":
@@ -143,4 +183,4 @@ if __name__ == "__main__":
     elif what == "reconstruct":
         reconstruct(Path(where), Path(rest[0]))
     else:
-        step(Path(where), rest[0], int(rest[1]), rest[2], int(rest[3]), int(rest[4]))
+        step(Path(where), rest[0], int(rest[1]), only_last=rest[2:] == ["last"])

@@ -28,9 +28,9 @@ import numpy as np
 from support.mqtt_rig import Broker
 from tacshade_edge.lab.studies.markdown import markdown
 from tacshade_edge.sensor.profiles import PROFILES
-from tools.ci.arm_frames import FREE, PRESSED, STAGES
+from tools.ci.arm_frames import COUNT, FREE, PRESSED, STAGES, stages_of
 from tools.ci.run_tests import QUICK
-from tools.rig.arm64 import PROCESSOR, instructions_each
+from tools.rig.arm64 import PROCESSOR, instructions_between
 
 TREE = Path(__file__).resolve().parents[2]
 ARM = (sys.executable, "-m", "tools.rig.arm64")
@@ -42,7 +42,6 @@ HEIGHT_MAX_MM = {"paper": 0.01, "fast": 0.001, "balanced": 0.001, "accurate": 0.
 floats after them are not.
 """
 WHITE_MAX_PART = 0.0
-COUNT = 5
 FRAMES = {"no contact": FREE, "contact": PRESSED}
 
 
@@ -154,35 +153,35 @@ def quick(python: str) -> list[str]:
     return ["quick tests failed"] if done.returncode else []
 
 
-def stages_of(profile: str, image: int) -> list[str]:
-    """The stages of a frame, in order."""
-    if image == FREE:
-        return ["gate"]
-    return [stage for stage in STAGES if profile != "paper" or stage not in ("shear", "sigma")]
-
-
-def count_stages(port: int) -> None:
-    """Print the instructions of each stage, on one processor."""
-    rows = []
+def count_stages(port: int) -> dict[tuple[str, str], float]:
+    """Print the instructions of each stage, on one processor; return those of whole frames by
+    profile and frame.
+    """
+    rows, whole = [], {}
     for profile in PROFILES:
+        counts = iter(instructions(profile, port))
         for name, image in FRAMES.items():
             stages = stages_of(profile, image)
-            totals = [instructions(profile, image, stage, port) for stage in stages]
+            totals = [next(counts) for _ in stages]
             own = dict(zip(stages, np.diff([0, *totals]), strict=True))
             cells = [f"{own[stage] / 1e6:.2f}" if stage in own else "" for stage in STAGES]
             rows.append([profile, name, *cells, f"{totals[-1] / 1e6:.1f}"])
+            whole[profile, name] = totals[-1]
     print(f"Million instructions on {PROCESSOR}\n")
     print(markdown(["profile", "frame", *STAGES, "all"], rows), flush=True)
+    return whole
 
 
-def count_boards(port: int) -> None:
+def count_boards(port: int, whole: dict[tuple[str, str], float]) -> None:
     """Print the instructions of whole frames on each board's processor, and what they take."""
     rows = []
     for board in BOARDS:
         for profile in (each for each in PROFILES if each != "paper"):
-            for name, image in FRAMES.items():
-                last = stages_of(profile, image)[-1]
-                total = instructions(profile, image, last, port, board.processor)
+            if board.processor == PROCESSOR:
+                totals = [whole[profile, name] for name in FRAMES]
+            else:
+                totals = instructions(profile, port, "last", processor=board.processor)
+            for name, total in zip(FRAMES, totals, strict=True):
                 rows.append(
                     [board.name, profile, name, f"{total / 1e6:.1f}", board.times_ms(total)]
                 )
@@ -190,19 +189,16 @@ def count_boards(port: int) -> None:
     print(markdown(["board", "profile", "frame", "million instructions", "ms"], rows), flush=True)
 
 
-def instructions(
-    profile: str, image: int, last: str, port: int, processor: str = PROCESSOR
-) -> float:
-    """Those of one frame until the end of its stage `last`."""
-    script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(image), last]
-    return instructions_each([*script, str(port)], COUNT, processor)
+def instructions(profile: str, port: int, *which: str, processor: str = PROCESSOR) -> list[float]:
+    """Those of a frame until the end of each stage, or of the last."""
+    script = ["-m", "tools.ci.arm_frames", "step", str(GIVEN), profile, str(port), *which]
+    return [total / COUNT for total in instructions_between(script, processor)]
 
 
 def count() -> None:
     """Print the tables of instructions."""
     with tempfile.TemporaryDirectory() as folder, Broker(Path(folder)) as broker:
-        count_stages(broker.port)
-        count_boards(broker.port)
+        count_boards(broker.port, count_stages(broker.port))
 
 
 def main() -> int:

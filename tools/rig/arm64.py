@@ -7,8 +7,9 @@ on QEMU's model of a Pi 5's processor (Cortex-A76).
     python3 -m tools.rig.arm64 [--python 3.11|3.13] COMMAND [ARGUMENT...]
     python3 -m tools.rig.arm64 [--processor cortex-a53] --count -m MODULE [ARGUMENT...]
 
-With ``--count`` it prints the instructions that Python executes, there or on an older board's
-processor, whose libraries take other ways: without dot products of integers, for one.
+With ``--count`` it prints the instructions that Python executes until each mark
+(tools/ci/arm_frames.py) and until its end, there or on an older board's processor, whose libraries
+take other ways: without dot products of integers, for one.
 The tree (Debian bookworm for Python 3.11, trixie for 3.13) is made once below ``.rig/``: Debian's
 packages unpacked, the wheels of ``systemd/requirements.lock`` installed, checked by their hashes,
 and the tests' other dependencies. COMMAND runs in it with this tree at ``/src``, its folder, on the
@@ -203,14 +204,13 @@ def enter(python: str, command: list[str]) -> None:
 
 
 def counted(script: list[str], processor: str) -> int:
-    """Print the instructions that Python 3.11 executes for a script, or -m and a module;
-    return its exit status.
+    """Print the instructions that Python 3.11 executes for a script, or -m and a module, until
+    each mark and its end; return its exit status.
     """
     check(PROGRAMS | COUNT_PROGRAMS)
     root = user_space("3.11")
     plugin = CACHE / "count_instructions.so"
-    if not plugin.exists():
-        _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
+    _run("cc", "-shared", "-fPIC", "-O2", "-o", str(plugin), str(HERE / "count_instructions.c"))
     (root / "proc/cpuinfo").write_text(cpuinfo(processor))
     paths = (TREE, root / "opt/lock", root / "opt/dev")
     # Without a fixed seed Python's start varies by a million instructions between runs.
@@ -233,26 +233,22 @@ def counted(script: list[str], processor: str) -> int:
     done = subprocess.run(
         (*words, *script), env=environment, stderr=subprocess.PIPE, text=True, check=False
     )
-    found = re.search(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)
     print(done.stderr, end="", file=sys.stderr)
-    if found:
-        print(found[1])
+    print("\n".join(re.findall(r"^instructions: (\d+)$", done.stderr, re.MULTILINE)))
     return done.returncode
 
 
-def instructions_each(script: list[str], runs: int, processor: str = PROCESSOR) -> float:
-    """Instructions of one run of a script whose last argument, appended here, is how often:
-    of one and `runs` more.
+def instructions_between(script: list[str], processor: str = PROCESSOR) -> list[int]:
+    """Instructions of a script between its first and second mark, its third and fourth, and so
+    on.
     """
-    found = []
-    for count in (1, 1 + runs):
-        words = ("--processor", processor, "--count", *script, str(count))
-        command = (sys.executable, "-m", "tools.rig.arm64", *words)
-        done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
-        found.append(int(done.stdout))
-    return (found[1] - found[0]) / runs
+    words = ("--processor", processor, "--count", *script)
+    command = (sys.executable, "-m", "tools.rig.arm64", *words)
+    done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{shlex.join(script)}: {done.stderr.strip()}")
+    *marks, _end = map(int, done.stdout.split())
+    return [after - before for before, after in zip(marks[::2], marks[1::2], strict=True)]
 
 
 def _run(*command: str) -> None:
@@ -278,7 +274,8 @@ def main() -> int:
         "--count",
         nargs=argparse.REMAINDER,
         metavar="SCRIPT",
-        help="a Python script, or -m and a module, with its arguments; print its instructions",
+        help="a Python script, or -m and a module, with its arguments; print its instructions "
+        "until each mark and until its end",
     )
     parser.add_argument(
         "command", nargs=argparse.REMAINDER, metavar="COMMAND", help="with its arguments"
