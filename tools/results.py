@@ -237,7 +237,6 @@ OLDER = (
     "third-family",
     "touch",
     "tradeoff",
-    "arm",
 )
 """Pages that could not be made again with the code, and say so at their top.
 
