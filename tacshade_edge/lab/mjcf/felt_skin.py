@@ -14,6 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from tacshade_edge.lab.mjcf.near_membrane import NearMembrane
+from tacshade_edge.lab.mjcf.reach import reached_mm
 from tacshade_edge.lab.mjcf.skin_view import (
     STEPS_PER_SIZE,
     at_nodes,
@@ -23,12 +25,12 @@ from tacshade_edge.lab.mjcf.skin_view import (
     touching,
     view_of,
 )
-from tacshade_edge.lab.mjcf.taxels import Taxels, reached_mm, taxels_of
-from tacshade_edge.lab.simulator.drag import drag_skin
+from tacshade_edge.lab.mjcf.taxels import Taxels, taxels_of
+from tacshade_edge.lab.simulator.drag import DragMechanics, drag_skin, leant_mm
 from tacshade_edge.lab.simulator.press import Press, Shape
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.simulator.simulated_hand import Grip, moved_along, slid_on
-from tacshade_edge.lab.simulator.skin import Skin, skin_over
+from tacshade_edge.lab.simulator.skin import Skin
 from tacshade_edge.lab.simulator.truth import shear_mm
 from tacshade_edge.rigid import Rigid
 from tacshade_edge.types import F32, F64, Bool, frozen
@@ -69,11 +71,19 @@ class SkinMechanics:
         self.model = replace(model, bulge=0.0)
         self.taxels: Taxels = taxels_of(model.geometry)
         self._view = view_of(model.geometry, self.taxels, model.form_mm)
+        self._membrane = NearMembrane(self._view.flat, self.model.skin_decay_mm)
+        self._mechanics = DragMechanics(leant_mm, self._membrane.carry, self._membrane.assume)
+        self._seen: F32 = np.zeros(len(self._view.rays.u), np.float32)
         self._grips: dict[int, Grip] = {}
 
     def forget(self) -> None:
         """Forget what touches, as after a reset of the simulation."""
         self._grips.clear()
+        self._begin_flat()
+
+    def _begin_flat(self) -> None:
+        self._membrane.forget()
+        self._seen = np.zeros_like(self._seen)
 
     def feel(
         self, depth_mm: F64, bodies: Sequence[TouchingBody], *, with_shear: bool
@@ -81,36 +91,37 @@ class SkinMechanics:
         """Shape the skin from the depths of its taxels (shells, N), in mm, and the bodies that
         touch; None if nothing presses it in.
         """
-        least, greatest = reached_mm(self.taxels, depth_mm)
-        obstacle = at_nodes(self._view, least)
+        reached, most = reached_mm(self.taxels, depth_mm)
+        obstacle = at_nodes(self._view, reached)
         self._grips = {
             body.number: self._grips.get(body.number, Grip(body.sensor_T_body)) for body in bodies
         }
         if not obstacle.any():
+            self._begin_flat()
             return None
         skin = self._skin(obstacle, bodies if with_shear else ())
-        height, points = seen(self._view, skin)
-        contact = touching(skin, at_nodes(self._view, greatest), height, points)
+        self._seen, points = seen(self._view, skin, reached, self._seen)
+        contact = touching(skin, at_nodes(self._view, most), points)
         inside, shear = self.taxels.inside, None
         if with_shear:
             found = shear_mm(skin, points, self.model.friction).astype(np.float32)
             shear = full(inside, found, math.nan)
         on_grid = np.zeros(inside.shape, np.bool_)
         on_grid[inside] = contact
-        return FeltSkin(full(inside, height, math.nan), on_grid, shear)
+        return FeltSkin(full(inside, self._seen, math.nan), on_grid, shear)
 
     def _skin(self, obstacle: F32, bodies: Sequence[TouchingBody]) -> Skin:
         def shape(leaning_mm: F32 | None) -> Skin:
             reach = obstacle
             if leaning_mm is not None:
                 reach = np.where(obstacle > 0, np.maximum(obstacle - leaning_mm, 0), 0)
-            return skin_over(self._view.flat, reach, self.model.skin_decay_mm, leaning_mm)
+            return self._membrane.over(reach).leaning(leaning_mm)
 
         drags = [self._drag(body) for body in bodies]
         if not any(any(drag) for drag in drags):
             return shape(None)
         presses = [self._press(body, drag) for body, drag in zip(bodies, drags, strict=True)]
-        skin = drag_skin(shape, self.model, presses, steps_per_size=STEPS_PER_SIZE)
+        skin = drag_skin(shape, self.model, presses, self._mechanics, steps_per_size=STEPS_PER_SIZE)
         for body, drag, surplus in zip(bodies, drags, skin.surplus, strict=True):
             self._grips[body.number] = slid_on(self._grips[body.number], drag, surplus)
         return skin

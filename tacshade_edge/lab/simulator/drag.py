@@ -47,7 +47,7 @@ _STUCK_MM = 0.02
 # Limit of w over λt, and of any change of the origin: skin that would fold slides. Below 1, what
 # `render.carried` iterates is a contraction.
 _STEEPEST = 0.75
-_SWAY_TOLERANCE_MM = 0.05
+SWAY_TOLERANCE_MM = 0.05
 _LEAST_MM = 1e-9  # a displacement that is divided by
 
 Shape = Callable[[F32 | None], Skin]
@@ -75,11 +75,13 @@ class DragMechanics:
 
     `lean`: displacement of the leaning dome's skin, (..., 3) mm, from unit vectors (..., 3) and a
     sway (2,) in mm at the apex. `carry`: w (2, rows, cols) in mm of the chart, from the contacts,
-    the grid's mass weights (`skin.mass_weight`), its step and the model.
+    the grid's mass weights (`skin.mass_weight`), its step and the model. `assume`: a first sway
+    (2,) in mm, from that of contacts that all stick.
     """
 
     lean: Callable[[F64, F64], F64]
     carry: Callable[[Contacts, F32, float, SensorModel], F32]
+    assume: Callable[[F64], F64] = lambda sway_mm: sway_mm
 
 
 def drag_skin(
@@ -103,12 +105,13 @@ def drag_skin(
         [(press.drag_x_mm, press.drag_y_mm) for press in presses], axis=0
     )
     direction = node_directions(*model.form_mm, steps_per_size).astype(np.float64)
+    sway_mm = mechanics.assume(sway_mm)
     swaying = partial(_swaying, shape, model, presses, mechanics, rest, direction)
     skin, carried_mm = swaying(sway_mm)
     # Skin and dome are springs in series: what the contacts carry along the skin loads the dome. If
     # nothing slid, this is the sway that was assumed.
     loaded_mm = carried_mm * (model.sway / (1 - model.sway))
-    if np.abs(loaded_mm - sway_mm).max() > _SWAY_TOLERANCE_MM:  # a contact slid
+    if np.abs(loaded_mm - sway_mm).max() > SWAY_TOLERANCE_MM:  # a contact slid
         skin, _ = swaying(loaded_mm)
     return skin
 

@@ -1,8 +1,8 @@
 """The membrane on its elastic foundation, solved on a grid: normal to itself and along itself.
 
 Both problems are relaxed by projected red-black over-relaxation, each from the solution on a
-quarter of the nodes. Maps are float32 (rows, cols); a mass weight is (step / decay)², times the
-factor of the chart (`skin.mass_weight`).
+quarter of the nodes, or from one that is known to be near. Maps are float32 (rows, cols); a mass
+weight is (step / decay)², times the factor of the chart (`skin.mass_weight`).
 """
 
 from __future__ import annotations
@@ -39,12 +39,14 @@ Slide = Callable[[F32, F32, F32, F32], object]
 """Relaxes w in place, from `held`, `limit` and `mass`."""
 
 
-def solve(obstacle: F32, mass: F32) -> F32:
+def solve(obstacle: F32, mass: F32, near: F32 | None = None) -> F32:
     """Solve (4 + m) h >= the sum of the neighbours, h >= obstacle, one of them with equality;
-    h = 0 on the border.
+    h = 0 on the border. It begins with `near`, if given: the solution of a similar problem.
     """
     height = obstacle.copy()
-    if min(obstacle.shape) >= _COARSEST:
+    if near is not None:
+        np.maximum(obstacle, near, out=height)
+    elif min(obstacle.shape) >= _COARSEST:
         # Twice the step: the mass weight, which goes with its square, is four times as large.
         coarse = solve(
             np.ascontiguousarray(obstacle[::2, ::2]), np.ascontiguousarray(mass[::2, ::2]) * 4
@@ -156,12 +158,14 @@ def _slide(w: F32, held: F32, limit: F32, mass: F32) -> None:
             break
 
 
-def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide) -> F32:
+def slid(held: F32, limit: F32, mass: F32, relax: Slide = _slide, near: F32 | None = None) -> F32:
     """Solve (4 + m) w - sum of the neighbours = r with |r| up to a limit (above 0 where something
     touches) for w (2, rows, cols), 0 on the border and `held` where the limit allows it, by
-    relaxation that starts on a quarter of the nodes.
+    relaxation that starts on a quarter of the nodes, or with `near`, as in `solve`.
     """
-    if min(mass.shape) >= _COARSEST:
+    if near is not None:
+        w = near.copy()
+    elif min(mass.shape) >= _COARSEST:
         # As with the mass, a limit is per node, and a coarse node stands for four.
         few = [np.ascontiguousarray(each[..., ::2, ::2]) for each in (held, limit * 4, mass * 4)]
         coarse = slid(few[0], few[1], few[2], relax)
