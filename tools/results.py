@@ -214,7 +214,9 @@ PAGES = {
         code=("tacshade_edge/calibration/ageing",),
     ),
     "mujoco": Page(
-        {"": "tools.studies.mujoco_presses"}, profiles=(), code=("tacshade_edge/lab/mjcf",)
+        {"": "tools.studies.mujoco_presses", "Force and friction": "tools.studies.mujoco_forces"},
+        profiles=(),
+        code=("tacshade_edge/lab/mjcf",),
     ),
     "growth": Page({"": "tools.benchmarks.growth"}),
     "arm": Page({"": "tools.ci.run_arm --count-only"}, profiles=("paper", *NETWORKS), code=FRAME),

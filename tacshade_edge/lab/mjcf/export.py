@@ -1,7 +1,7 @@
 """A sensor as MuJoCo's files: a skin with its taxels on a flange, and a scene to try it in. Pure.
 
 MuJoCo's unit is the metre. Its contact of bodies is with an undeformed skin, a sphere or a plate,
-so soft that an object can be pressed in as deep as a skin yields; what the skin then looks like is
+whose force grows with the depth as that of the skin under a ball; what the skin then looks like is
 for `mujoco_sensor.MujocoSensor` to find from the depths of the taxels.
 """
 
@@ -52,9 +52,10 @@ _SENSOR = """\
       <!-- The flange. Everything below is in the sensor frame. -->
       <frame pos="{pos}" quat="{quat}">
         <site name="{name}_sensor" size="0.001" rgba="0 0 0 0"/>
+        <!-- Without the priority, MuJoCo would take the mean of these and the object's. -->
         <geom name="{name}_touch" {touch} group="3" rgba="0.3 0.6 0.9 0.3" mass="0.03"
-              condim="4" friction="{friction:g} 0.003 0.0001" solref="0.02 1"
-              solimp="0.1 0.9 {depth:g} 0.5 2"/>
+              priority="1" condim="4" friction="{friction:g} 0.003 0.0001" solref="0.02 1"
+              solimp="0.88 0.95 {depth:g} 0.5 1"/>
         <geom name="{name}_housing" {housing} material="{name}_housing" mass="0.05"/>
         <geom name="{name}_skin" type="mesh" mesh="{name}_skin" material="{name}_skin"
               contype="0" conaffinity="0" mass="0"/>
@@ -73,7 +74,7 @@ _SCENE = """\
   <!-- A ball a millimetre above the sensor, and an actuator that presses it on: ctrl is how far it
        is to come down, in m. -->
   <include file="sensor.xml"/>
-  <option timestep="0.005" integrator="implicitfast"/>
+  <option timestep="0.005" integrator="implicitfast" cone="elliptic" impratio="10"/>
   <statistic center="0 0 {apex:g}" extent="0.1"/>
   <visual>
     <headlight ambient="0.35 0.35 0.35" diffuse="0.5 0.5 0.5"/>
@@ -87,7 +88,7 @@ _SCENE = """\
     </body>
   </worldbody>
   <actuator>
-    <position name="ball_down" joint="ball_down" kp="500" kv="10" ctrlrange="0 0.02"/>
+    <position name="ball_down" joint="ball_down" kp="3000" kv="40" ctrlrange="0 0.02"/>
   </actuator>
 </mujoco>
 """

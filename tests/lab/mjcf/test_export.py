@@ -11,21 +11,14 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import HALF
-from support.felt_objects import depths_mm
-from tacshade_edge.lab.mjcf.export import Parameters, calibrated, files
+from support.felt_objects import depths_mm, written
+from tacshade_edge.lab.mjcf.export import calibrated
 from tacshade_edge.lab.mjcf.taxels import taxels_of
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball
 from tacshade_edge.lab.simulator.sensor_model import SensorModel, flattened, random_model
-from tacshade_edge.types import IDENTITY_POSE, Calibration
+from tacshade_edge.types import Calibration
 
 PAD = flattened(HALF)
-
-
-def written(folder: Path, model: SensorModel, *flange_T_sensor: float) -> Path:
-    x, y, z, qw, qx, qy, qz = flange_T_sensor or IDENTITY_POSE
-    for name, content in files(Parameters(model, (x, y, z, qw, qx, qy, qz))).items():
-        (folder / name).write_bytes(content)
-    return folder / "sensor.xml"
 
 
 def with_object(path: Path, geom: str, shape: dict[str, Any], at_mm: tuple[float, ...]) -> Any:

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import HALF
+from support.felt_objects import written
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.lab.mjcf import mujoco_sensor
-from tacshade_edge.lab.mjcf.export import Parameters, files
 from tacshade_edge.lab.mjcf.mujoco_sensor import MujocoSensor
-from tacshade_edge.types import IDENTITY_POSE
 
 mujoco: Any = pytest.importorskip("mujoco")
 
@@ -21,9 +20,7 @@ mujoco: Any = pytest.importorskip("mujoco")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("mjcf")
-    x, y, _, qw, qx, qy, qz = IDENTITY_POSE
-    for name, content in files(Parameters(HALF, (x, y, 5.0, qw, qx, qy, qz))).items():
-        (folder / name).write_bytes(content)
+    written(folder, HALF, 0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0)
     return folder
 
 

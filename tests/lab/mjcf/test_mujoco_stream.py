@@ -12,9 +12,8 @@ from tacshade_client import decode_message
 
 import tacshade_edge as ts
 from support.calibrated_sensor import HALF
+from support.felt_objects import written
 from support.mqtt_rig import Broker, Subscriber, free_port
-from tacshade_edge.lab.mjcf.export import Parameters, files
-from tacshade_edge.types import IDENTITY_POSE
 
 mujoco: Any = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.broker
@@ -26,9 +25,7 @@ class Ball:
     """The scene's ball, which begins a millimetre above the skin, and the sensor."""
 
     def __init__(self, folder: Path) -> None:
-        x, y, z, qw, qx, qy, qz = IDENTITY_POSE
-        for name, content in files(Parameters(HALF, (x, y, z, qw, qx, qy, qz))).items():
-            (folder / name).write_bytes(content)
+        written(folder, HALF)
         self._model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)

@@ -7,8 +7,6 @@
     .venv/bin/python -m tools.examples.mujoco.follow_edge mjcf/sensor.xml
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from typing import Any
@@ -18,8 +16,9 @@ import numpy as np
 
 import tacshade_edge as ts
 from tacshade_edge.types import F64
+from tools.examples.mujoco.hand import Hand
 
-DISC_MM, TIP_MM, DT_S = 40.0, 20.0, 0.02
+DISC_MM, SPEED_MM_S, DT_S = 40.0, 20.0, 0.02
 DEPTH_MM, INSIDE_MM = 1.5, 2.5  # of the tip; of the contact's middle from the edge
 
 
@@ -29,69 +28,44 @@ class FollowEdge:
     """
 
     def __init__(self, sensor_xml: str) -> None:
-        spec = mujoco.MjSpec()
-        disc = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER)
+        scene = mujoco.MjSpec()
+        disc = scene.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER)
         disc.size, disc.pos = (DISC_MM / 1e3, 0.005, 0), (0, 0, -0.005)
-        hand = spec.worldbody.add_body(name="hand")
-        hand.add_freejoint()
-        spec.attach(mujoco.MjSpec.from_file(sensor_xml), prefix="hand/", frame=hand.add_frame())
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        self._sensor = ts.MujocoSensor(self._model, self._data, "hand/tacshade")
-        self._place = np.zeros(4)  # x, y, z in mm and the turn about z, of the sensor
+        self.hand = Hand(scene, sensor_xml)
 
     def reset(self, *, seed: int | None = None) -> tuple[F64, dict[str, Any]]:
         """Begin within a millimetre of the disc's edge."""
         beside_mm = float(np.random.default_rng(seed).uniform(-1, 1))
-        self._place[:] = 0, DISC_MM + beside_mm, TIP_MM - DEPTH_MM, 0
-        mujoco.mj_resetData(self._model, self._data)
-        return self._felt(), {}
+        self.hand.put(0, DISC_MM + beside_mm, -DEPTH_MM)
+        return felt(self.hand.sensor.read(shear=False)), {}
 
     def step(self, action: F64) -> tuple[F64, float, bool, bool, dict[str, Any]]:
         """Move for `DT_S`; the reward is higher the nearer the tip is to the edge."""
-        along, across, down, about = DT_S * np.asarray(action)
-        turned = self._place[3]
-        # The sensor looks down: its y and z are turned over.
-        self._place[0] += along * math.cos(turned) + across * math.sin(turned)
-        self._place[1] += along * math.sin(turned) - across * math.cos(turned)
-        self._place[2:] -= down, math.radians(about)
-        self._data.time += DT_S
-        felt, beside_mm = self._felt(), math.hypot(*self._place[:2]) - DISC_MM
-        return felt, -abs(beside_mm), not felt.any(), False, {"beside_mm": beside_mm}
-
-    def _felt(self) -> F64:
-        half = self._place[3] / 2
-        self._data.qpos[:3] = self._place[:3] / 1e3
-        self._data.qpos[3:] = 0, math.cos(half), math.sin(half), 0
-        mujoco.mj_forward(self._model, self._data)
-        result = self._sensor.read(shear=False)
-        if not result.in_contact:
-            return np.zeros(3)
-        x_y_mm = result.points_mm[:, :2]
-        x, y = np.linalg.eigh(np.cov(x_y_mm.T))[1][:, 1]
-        return np.array((result.depth_max_mm, x_y_mm[:, 1].mean(), math.degrees(math.atan(y / x))))
+        self.hand.move(np.array((*action[:3], 0, 0, action[3])), DT_S)
+        observed = felt(self.hand.sensor.read(shear=False))
+        beside_mm = math.hypot(*self.hand.tip.translation_mm[:2]) - DISC_MM
+        return observed, -abs(beside_mm), not observed.any(), False, {}
 
 
-def velocity(felt: F64, speed_mm_s: float = 20.0) -> F64:
+def felt(result: ts.Result) -> F64:
+    """The observation, zero without contact."""
+    if not result.in_contact:
+        return np.zeros(3)
+    x_y_mm = result.points_mm[:, :2]
+    x, y = np.linalg.eigh(np.cov(x_y_mm.T))[1][:, 1]
+    return np.array((result.depth_max_mm, x_y_mm[:, 1].mean(), math.degrees(math.atan(y / x))))
+
+
+def velocity(observed: F64) -> F64:
     """Move along the edge, and keep depth, place and direction."""
-    depth_mm, y_mm, edge_deg = felt
-    return np.array((speed_mm_s, 4 * (y_mm - INSIDE_MM), 4 * (DEPTH_MM - depth_mm), 4 * edge_deg))
-
-
-def main() -> int:
-    """Go around the disc once."""
-    world = FollowEdge(sys.argv[1])
-    felt, off_mm = world.reset()[0], []
-    for _ in range(round(2 * math.pi * DISC_MM / 20 / DT_S)):
-        felt, _, lost, _, info = world.step(velocity(felt))
-        off_mm.append(abs(info["beside_mm"]))
-        if lost:
-            break
-    print(
-        f"{len(off_mm)} steps; {np.mean(off_mm):.2f} mm from the edge, {max(off_mm):.2f} at worst"
-    )
-    return int(lost)
+    depth_mm, y_mm, edge_deg = observed
+    return np.array((SPEED_MM_S, 4 * (y_mm - INSIDE_MM), 4 * (DEPTH_MM - depth_mm), 4 * edge_deg))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    world, off_mm = FollowEdge(sys.argv[1]), np.zeros(0)
+    observed, lost = world.reset()[0], False
+    while not lost and len(off_mm) < 2 * math.pi * DISC_MM / (SPEED_MM_S * DT_S):
+        observed, reward, lost, *_ = world.step(velocity(observed))
+        off_mm = np.append(off_mm, -reward)
+    print(f"{len(off_mm)} steps: {off_mm.mean():.2f} mm from the edge, {off_mm.max():.2f} at worst")
