@@ -90,16 +90,16 @@ def seen(view: SkinView, skin: Skin, reached_mm: F32, near: F32) -> tuple[F32, F
     height = near
     for step in range(_SEEN_STEPS):
         # The ray meets another place of the skin once it is known to be pressed in.
-        points = _points(view, height)
-        x, y = chart(skin, points)
-        at_rest = at_height(chart_to_direction(x, y, skin.radius_mm), np.zeros(1), skin.radius_mm)
-        reached = _reached_at(reached_mm, *_cells_at(view.geometry, view.grid, at_rest))
-        found = np.maximum(skin.sample(x, y), reached).astype(np.float32)
+        x, y = chart(skin, _points(view, height))
+        found = np.maximum(skin.sample(x, y), 0).astype(np.float32)
         change = float(np.abs(found - height).max(initial=0))
         # On a steep flank it would jump to and fro.
         height = found if step < _DAMPED_FROM else (found + height) * np.float32(0.5)
         if change < _SEEN_TOLERANCE_MM:
             break
+    at_rest = at_height(chart_to_direction(x, y, skin.radius_mm), np.zeros(1), skin.radius_mm)
+    reached = _reached_at(reached_mm, *_cells_at(view.geometry, view.grid, at_rest))
+    height = np.maximum(height, reached)
     return height, _points(view, height)
 
 

@@ -17,6 +17,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -43,6 +44,10 @@ _ROUNDING = 1 + 1e-9
 that it equals.
 """
 
+_GRIDS = 8
+"""So many grids of different sensors are kept."""
+
+Array = TypeVar("Array", F32, F64)
 Solver = Callable[[F32, F32], F32]
 """A function from an obstacle and mass weights to h, all on the same grid."""
 
@@ -275,6 +280,7 @@ def mass_weight_of(skin: Skin) -> F32:
     return mass_weight(skin.radius_mm, skin.step_mm, n, skin.steps_per_size)
 
 
+@functools.lru_cache(maxsize=_GRIDS)
 def mass_weight(
     radius_mm: float, step_mm: float, n: int, steps_per_size: int = GRID_STEPS_PER_SIZE
 ) -> F32:
@@ -292,7 +298,7 @@ def mass_weight(
     q, size_mm = squares(radius_mm), min(radius_mm, step_mm * steps_per_size * _ROUNDING)
     to_rim = q if size_mm == radius_mm else squares(size_mm)
     clamped = to_rim > math.tan(math.radians(RIM_HALF_ANGLE_DEG / 2)) ** 2
-    return np.asarray(np.where(clamped, CLAMPED, 1 / (1 + q) ** 2), np.float32)
+    return _shared(np.asarray(np.where(clamped, CLAMPED, 1 / (1 + q) ** 2), np.float32))
 
 
 def node_directions(
@@ -304,10 +310,17 @@ def node_directions(
     return _directions(radius_mm, *_grid(size_mm or radius_mm, steps_per_size))
 
 
+@functools.lru_cache(maxsize=_GRIDS)
 def _directions(radius_mm: float, n: int, step_mm: float) -> F64:
     axis = np.arange(-n, n + 1, dtype=np.float32) * np.float32(step_mm)
     x, y = np.meshgrid(axis, axis)
-    return chart_to_direction(x, y, radius_mm)
+    return _shared(chart_to_direction(x, y, radius_mm))
+
+
+def _shared(array: Array) -> Array:
+    """An array that a cache hands to everyone."""
+    array.flags.writeable = False
+    return array
 
 
 def obstacle_of(
@@ -361,9 +374,7 @@ def _entries(radius_mm: float, size_mm: float, presses: tuple[Press, ...]) -> F3
         index, ray, t = index[on], ray[on], t[on]
         if not len(index):
             break
-    # The cache hands the same array to everyone.
-    entries.flags.writeable = False
-    return entries
+    return _shared(entries)
 
 
 def _within_rim(rays: F64, radius_mm: float, size_mm: float) -> np.typing.NDArray[np.bool_]:
