@@ -35,7 +35,7 @@ _SETTLED_S, _RAMP_S, _STEP_S = 2.0, 1.0, 0.002
 class Pushed:
     """A ball over the middle of a sensor, which forces along x, y and down push."""
 
-    def __init__(self, model: SensorModel, mass_kg: float, free: bool) -> None:
+    def __init__(self, model: SensorModel, mass_kg: float, *, free: bool) -> None:
         spec = weightless(model)
         spec.option.timestep = _STEP_S
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -18,6 +18,8 @@ from tacshade_edge.types import F32, F64, I64, Bool
 # All in steps from one taxel of a column to the next.
 _LEAST_SLOPE: Final = 0.3
 """Depth that hardly falls, or has only just begun to, is that of a wall."""
+_STRAIGHT: Final = 0.9
+"""So fast, the depth falls towards a face that a column meets."""
 _BENT: Final = -1e-3
 """The second difference of depths that lie on no straight line is less."""
 _ROUND: Final = 0.03
@@ -57,8 +59,10 @@ def _ends(depth: F64) -> tuple[I64, F64, F64]:
     # What the ball's depth would be at the fourth taxel, three steps before the last.
     fourth = radius - np.sqrt(np.maximum((radius - here) ** 2 + 9 + 6 * middle, 0))
     # Its end must lie before the next taxel, which is outside.
-    is_round = bent & (last > 2) & (round_end < 1) & (np.abs(fourth - first) < _ROUND)
+    is_round = bent & (last - 3 >= 0) & (round_end < 1) & (np.abs(fourth - first) < _ROUND)
     wall = (fall < _LEAST_SLOPE) | ((last > 1) & (earlier - before < _LEAST_SLOPE))
+    # Of two taxels inside, the outer one may have a wall near.
+    wall |= (last == 1) & (fall < _STRAIGHT)
     wall &= ~is_round & (last < shells - 1)
     flat_end = here / np.maximum(fall, _LEAST_SLOPE)
     end = np.where(bent, round_end, flat_end)

@@ -23,9 +23,9 @@ class Hand:
         hand.add_freejoint()
         child = mujoco.MjSpec.from_file(sensor_xml)
         scene.attach(child, prefix="hand/", frame=hand.add_frame())
-        self._model = scene.compile()
-        self._data = mujoco.MjData(self._model)
-        self.sensor = ts.MujocoSensor(self._model, self._data, "hand/tacshade")
+        self.model = scene.compile()
+        self.data = mujoco.MjData(self.model)
+        self.sensor = ts.MujocoSensor(self.model, self.data, "hand/tacshade")
         self._to_tip = shift(0, 0, self.sensor.geometry.apex_z_mm)
 
     @property
@@ -35,7 +35,7 @@ class Hand:
 
     def put(self, x_mm: float, y_mm: float, z_mm: float) -> None:
         """Put the tip at a place, looking down, and begin anew."""
-        mujoco.mj_resetData(self._model, self._data)
+        mujoco.mj_resetData(self.model, self.data)
         self._place(shift(x_mm, y_mm, z_mm) @ DOWN)
 
     def move(self, velocity: F64, for_s: float) -> None:
@@ -43,7 +43,7 @@ class Hand:
         and °/s.
         """
         moved = shift(*(for_s * velocity[:3])) @ turn(np.radians(for_s * velocity[3:]))
-        self._data.time += for_s
+        self.data.time += for_s
         self._place(self.tip @ moved)
 
     def _place(self, tip: Rigid) -> None:
@@ -51,5 +51,5 @@ class Hand:
         at = pose.seven()
         # Through the quaternion, since rounding must not add up.
         self._pose = Rigid(from_seven(at).rotation, pose.translation_mm)
-        self._data.qpos[:3], self._data.qpos[3:] = np.array(at[:3]) / 1e3, at[3:]
-        mujoco.mj_forward(self._model, self._data)
+        self.data.qpos[:3], self.data.qpos[3:] = np.array(at[:3]) / 1e3, at[3:]
+        mujoco.mj_forward(self.model, self.data)
