@@ -188,6 +188,10 @@ class BrokerSession(Client):
             self.__accepted = False  # so that nobody hears of a loss
         self.disconnect()
         self.loop_stop()
+        self.release()
+
+    def release(self) -> None:
+        """Close what woke the network thread, which has ended."""
         # Otherwise the garbage collector closes these two, perhaps before paho can.
         self._reset_sockets(sockpair_only=True)
 

@@ -304,6 +304,8 @@ class MqttLink:
                 sock.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]
         if self._thread is not None:
             self._thread.join(timeout_s)
+            if not self._thread.is_alive():
+                self._session.release()
 
     # -- called by the session, in paho's thread ---------------------------------------------------
 

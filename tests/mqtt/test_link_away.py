@@ -21,6 +21,17 @@ from support.mqtt_rig import Broker, Subscriber, free_port
 from support.patience import promised, stretched, wait_until
 from tacshade_edge.reasons import ReasonCode
 
+DESCRIPTORS = Path("/proc/self/fd")
+
+
+def test_a_stopped_link_keeps_no_descriptor_open() -> None:
+    before = set(DESCRIPTORS.iterdir())
+    rig = Rig(free_port())
+    rig.link.start()
+    wait_until(lambda: code(rig) is ReasonCode.UNREACHABLE, 3, "a reason")
+    rig.link.stop(2)
+    assert set(DESCRIPTORS.iterdir()) <= before
+
 
 @pytest.mark.broker
 class TestAway:
