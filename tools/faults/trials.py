@@ -31,7 +31,7 @@ class Trial:
     tests: tuple[str, ...]
 
 
-_CLIENTS = "tests/dashboard/test_downloads.py"
+_CLIENTS = ("tests/dashboard/test_downloads.py", "tests/test_slow_readers.py")
 _BROKER = "tests/mqtt/test_hostile_broker.py"
 _SERIAL = "tests/robot/test_serial_link.py"
 _CLOCK = "tests/robot/test_clock_sync.py"
@@ -44,6 +44,9 @@ TRIALS = (
     ),
     Trial(
         "two processes write one file, or one of them is killed", ("tests/files/test_targets.py",)
+    ),
+    Trial(
+        "a file of ours is given where another kind is expected", ("tests/cli/test_wrong_files.py",)
     ),
     Trial(
         "a fit cannot write, is killed, or loses a worker",
@@ -80,7 +83,11 @@ TRIALS = (
         "threads, descriptors, files, locks and subscriptions, before and after twenty times",
         ("tests/test_leaks.py",),
     ),
-    Trial("clients read a byte at a time, stall, or come and go a hundred times", (_CLIENTS,)),
+    Trial("clients read a byte at a time, stall, or come and go a hundred times", _CLIENTS),
+    Trial(
+        "SIGTERM and SIGKILL come beside an open page and a running download",
+        ("tests/dashboard/test_ends.py",),
+    ),
     Trial("a broker's packets are cut at every byte, out of order, hostile or denied", (_BROKER,)),
     Trial(
         "a robot answers late, twice, in another order, damaged, or never",
