@@ -238,7 +238,6 @@ OLDER = (
     "fit",
     "third-family",
     "touch",
-    "tradeoff",
 )
 """Pages that could not be made again with the code, and say so at their top.
 

@@ -361,7 +361,7 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         calibration.write_bytes(b"nothing of the kind")
         wait_until(
             lambda: (
-                "not a calibration"
+                "expected a calibration written by"
                 in live.last("status/camera")["reason"] + live.last("info")["reason"]
             ),
             10,

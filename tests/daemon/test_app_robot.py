@@ -125,6 +125,8 @@ class Cell:
 
     def start(self) -> None:
         self._app = self.live.run(self._scripted(self._stream()), self._settings, calibrated())
+        there = (["online"], ["degraded"])  # after an earlier one's `stopped`
+        self.until(lambda: self.live.states()[-1:] in there, "the daemon is there")
         self.until(lambda: self.last("status/serial").get("sync") == "two-way", "synchronised")
 
     def stop(self) -> None:
