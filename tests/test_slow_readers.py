@@ -134,10 +134,10 @@ def viewer(broker: Broker) -> Iterator[Kind]:
     ):
         topics: dict[str, int] = {}
         while "/tacshade/drawn/height" not in topics:
-            told = all_.recv(patience(30))
-            if isinstance(told, str):
+            heard = all_.recv(patience(30))
+            if isinstance(heard, str):
                 topics |= {
-                    each["topic"]: each["id"] for each in json.loads(told).get("channels", ())
+                    each["topic"]: each["id"] for each in json.loads(heard).get("channels", ())
                 }
         wanted = {"id": 0, "channelId": topics["/tacshade/drawn/height"]}
         said = json.dumps({"op": "subscribe", "subscriptions": [wanted]}, separators=(",", ":"))
@@ -146,8 +146,8 @@ def viewer(broker: Broker) -> Iterator[Kind]:
         def got(seq: int) -> bool:
             with contextlib.suppress(TimeoutError):
                 while True:
-                    told = all_.recv(0.05)
-                    if not isinstance(told, str) and seconds_of(told[13:]) == seq:
+                    heard = all_.recv(0.05)
+                    if not isinstance(heard, str) and seconds_of(heard[13:]) == seq:
                         return True
             return False
 
