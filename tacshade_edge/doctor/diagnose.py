@@ -33,7 +33,6 @@ from tacshade_edge.doctor.port_checks import check_serial, check_usb
 from tacshade_edge.errors import ConfigError
 from tacshade_edge.mqtt import links
 from tacshade_edge.regular_files import open_regular
-from tacshade_edge.requirements import PACKAGES_FIX
 from tacshade_edge.settings import Document, Source, V4l2, load, load_all
 
 MACHINE_S, NODE_S, CAPTURE_S, JUDGE_S = 7.0, 3.0, 7.0, 3.0
@@ -64,7 +63,7 @@ def diagnose(
         ("clock", _AGAIN, check_clock),
         ("board", _AGAIN, lambda: check_board(machine)),
         ("usb", _AGAIN, lambda: check_usb(_cameras(document), machine)),
-        ("packages", PACKAGES_FIX, check_packages),
+        ("packages", _AGAIN, check_packages),
     ]
     if document and broker_usable:
         fix = "check mqtt.host, the network and the name server"

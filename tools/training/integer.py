@@ -25,11 +25,10 @@ import numpy as np
 import onnx
 import onnxruntime
 
+from tacshade_edge.sensor.inference.network import WEIGHTS
 from tools.training.data import Data, batch, load, shards_in
 from tools.training.exact_graph import exact
 from tools.training.integer_graph import Channels, Graph, Network
-
-WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def channels(

@@ -37,12 +37,11 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tacshade_edge.lab.fitting.losses import LOSSES
 from tacshade_edge.lab.fitting.spoilt_frames import spoil
 from tacshade_edge.lab.fitting.training import halved
+from tacshade_edge.sensor.inference.network import WEIGHTS
 from tools.training.data import Data, batch, joined, load, other_looks, shards_in
 from tools.training.figures import FIGURES
 from tools.training.network import NETS, Net, ShearNet, averaged, like, make
 from tools.training.samples import KINDS, SHARES
-
-WEIGHTS = Path(__file__).parents[2] / "tacshade_edge" / "inference" / "weights"
 
 
 def shipped(net: Net | ShearNet, name: str, inputs: list[Tensor]) -> None:

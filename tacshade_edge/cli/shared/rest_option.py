@@ -56,7 +56,7 @@ def check_rest(path: Path) -> None:
         if not found:
             raise ConfigError("found no image, expected pictures of the untouched skin")
     except ConfigError as error:
-        raise ConfigError(f"--rest: {path}: {error}") from None
+        raise _of_option(path, error) from None
 
 
 def rest_of(
@@ -74,7 +74,13 @@ def rest_of(
     try:
         return learn_rest(calibration, chain(counting, _images(args.rest)), rate)
     except ConfigError as error:
-        raise ConfigError(f"--rest: {args.rest}: {error}") from None
+        raise _of_option(args.rest, error) from None
+
+
+def _of_option(path: Path, error: ConfigError) -> ConfigError:
+    # The errors of a recording name it already.
+    text = str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
+    return ConfigError(f"--rest: {text}")
 
 
 def _images(path: Path) -> Iterator[tuple[str, U8]]:

@@ -134,7 +134,8 @@ export class SkinView {
   look() {
     if (!this.geometry) return;
     this.untouched = true;
-    const { rim, foot } = rimOf(this.geometry), far = (3.1 * rim) / Math.min(1, this.camera.aspect);
+    // A picture narrower than 1.3 times its height would cut off the axes at the left.
+    const { rim, foot } = rimOf(this.geometry), far = (3.1 * rim) / Math.min(1, this.camera.aspect / 1.3);
     this.controls.target.set(0, -0.12 * rim, foot);
     this.camera.position.set(0.2 * far, -0.7 * far, foot + 0.68 * far);
     this.controls.update();

@@ -64,6 +64,10 @@ _END: Final = frozenset(
 )
 
 
+class _TooLargeError(ValueError):
+    """A stated size beyond what a reader may hold in memory."""
+
+
 class Place(NamedTuple):
     """A record that ends where another may begin: its kind, its body's first byte and length,
     and the next record's first byte.
@@ -161,10 +165,10 @@ class McapFile:
                 yield from self._records_at(place)
             except _DAMAGED as error:
                 what = "chunk" if place.kind == Opcode.CHUNK else "record"
-                found = (
-                    f"{self._name}: skipping the damaged {what} at byte {place.body - _HEAD.size}: "
-                    f"{error}"
-                )
+                # Nothing shows whether the size is wrong or another program writes larger chunks.
+                how = "damaged or too large" if isinstance(error, _TooLargeError) else "damaged"
+                at = place.body - _HEAD.size
+                found = f"{self._name}: skipping the {how} {what} at byte {at}: {error}"
                 yield DecodeError(found)
             if self._unpacked > self._unpacked_max:
                 found = f"{self._name}: skipping the data after byte {place.end}: found more than "
@@ -312,7 +316,7 @@ def _record(kind: int, body: bytes | memoryview) -> McapRecord | None:
 
 def _require_small(size: int) -> None:
     if size > CHUNK_BYTES_MAX:
-        raise ValueError(f"found {size} bytes, expected at most {CHUNK_BYTES_MAX}")
+        raise _TooLargeError(f"found {size} bytes, expected at most {CHUNK_BYTES_MAX}")
 
 
 def _unpacked(chunk: Chunk) -> bytes:

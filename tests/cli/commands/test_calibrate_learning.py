@@ -77,7 +77,7 @@ def test_presses_show_what_is_found(
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["--rest", "none"], r"none: "),
+        (["--rest", "none"], r"--rest: .*none: found nothing"),
         (["--rest", "few"], r"--rest: .*few: found 2 usable images .*, expected at least 8"),
         (["--rest", "small"], r"--rest: .*small: found 0 usable images"),
     ],
@@ -96,7 +96,9 @@ def test_a_rest_that_shows_nothing_is_refused(
             image = read_image(path)
             cv2.imwrite(str(tmp_path / name / path.name), image if count == 2 else image[::2])
     words = [*alone[:4], "--out", str(tmp_path / "cal.npz"), more[0], str(tmp_path / more[1])]
-    assert re.search(message, refused(["calibrate", *words], capsys))
+    line = refused(["calibrate", *words], capsys)
+    assert re.search(message, line)
+    assert line.count(str(tmp_path / more[1])) == 1
 
 
 @pytest.mark.parametrize(
