@@ -41,8 +41,9 @@ from tacshade_edge.sensor.image.greyscale import to_grey
 from tacshade_edge.sensor.inference.rest_evidence import learn_rest
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame
+from tools.studies.disturbances import CHANGES, LEFT, RELEASED
 from tools.studies.judges import calibrated, press_of
-from tools.studies.limits import CHANGES, LEFT, RELEASED, ball_press, places
+from tools.studies.limits import ball_press, places
 from tools.studies.real_sets import SENSOR, SENSORS, SETS, TILTED, rows_of, thinned
 from tools.testbed.simulator.families import FINAL_SENSORS, released, working_sensors
 

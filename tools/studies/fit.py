@@ -22,7 +22,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import multiprocessing
 import resource
 import sys
@@ -37,10 +36,8 @@ from typing import Any
 import numpy as np
 
 import tacshade_edge
-from tacshade_edge.calibration import indenters as shapes
 from tacshade_edge.calibration.calibrate import CalibrationResult, calibrate
 from tacshade_edge.calibration.files import calibration_file
-from tacshade_edge.calibration.indenters import Indenter
 from tacshade_edge.calibration.inputs import KnownPress, StatedSensor
 from tacshade_edge.cli.shared.options import add_cluster
 from tacshade_edge.cli.shared.progress import Progress
@@ -49,27 +46,19 @@ from tacshade_edge.lab.fitting.identify import identify
 from tacshade_edge.lab.fitting.prints import PARAMETERS
 from tacshade_edge.lab.fitting.twin import Mechanics
 from tacshade_edge.lab.parallel import reported_map, workers
-from tacshade_edge.lab.simulator.press import OBJECTS, PAPER_OBJECTS, Press, Shape, ball, ridge
+from tacshade_edge.lab.simulator.press import OBJECTS, Press
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
-from tacshade_edge.lab.studies.evaluate.score import KnownTruth, Label, score
 from tacshade_edge.lab.studies.evaluate.work import (
-    DEPTHS_MM,
-    PRESS_NOISE,
     REFERENCE_NOISE,
     PressedSensor,
-    Scene,
-    SensorName,
-    scenes,
 )
 from tacshade_edge.lab.studies.markdown import markdown
-from tacshade_edge.sensor.depth.sigma import INTERVAL_90
-from tacshade_edge.sensor.geometry.disc_map import skin_scale
 from tacshade_edge.sensor.inference.network import load_networks, make_reconstructor
 from tacshade_edge.sensor.profiles import DEFAULT, LADDER, PROFILES
-from tacshade_edge.types import F64, Calibration, Frame
+from tacshade_edge.types import Calibration, Frame
 from tools.studies import command
-from tools.studies.command import stated_press
-from tools.studies.sigma import true_height_mm
+from tools.studies.fit_presses import pressed
+from tools.studies.fit_scores import DRAG_MM, DRAGGED_MM, FIGURES, Judged, changes, judge, of_sensor
 from tools.testbed.simulator.families import sensor_name
 
 CASES = (
@@ -103,82 +92,9 @@ WAYS = {
     "slow": Way("none", 1.0, 1.5),
     "steep": Way("none", 1.0, 0.5),
 }
-PRESSES = 40
 REFERENCES = 5
-PRESSED_MM = (0.6, 4.5)
-"""Least and greatest depth of the presses, mm."""
-BEYOND_MM = 6.0
-"""Depth beyond the presses, mm: a third more than the deepest."""
-DRAG_MM, DRAGGED_MM = 2.0, 3.0
-"""Length of a drag, and depth during it, mm."""
 ROUNDS, STARTS = 40, 5
 """Numbers of frames and starts behind a reported median."""
-JUDGED = ("pressed", "dragged", "beyond")
-FIGURES = (
-    "pressed",
-    "dragged",
-    f"{BEYOND_MM:g} mm deep",
-    "worst object",
-    "SD %",
-    "IoU",
-    "in 90 %",
-    "in 90 % dragged",
-)
-"""Of each sensor: ME in mm by what was done and of the worst object, then of those not dragged,
-and held shares.
-"""
-CYLINDER_MM = 5.0
-"""Radius of the simulator's cylinder."""
-
-
-def lying(radius_mm: float, length_mm: float) -> Shape:
-    """A cylinder along x with flat ends."""
-
-    def sdf(p: F64) -> F64:
-        along = np.abs(p[:, 0]) - length_mm / 2
-        across = np.hypot(p[:, 1], p[:, 2] - radius_mm) - radius_mm
-        return np.minimum(np.maximum(along, across), 0) + np.hypot(
-            np.maximum(along, 0), np.maximum(across, 0)
-        )
-
-    return Shape("bar", sdf)
-
-
-def indenters(scale: float, balls: bool) -> list[tuple[Shape, float, float, Indenter | None]]:
-    """Each indenter's shape, scale, and the ball's radius in mm or the user's description."""
-    made: list[tuple[Shape, float, float, Indenter | None]] = [
-        (ball(radius * scale), 1.0, radius * scale, None) for radius in (3.0, 4.5, 7.0)
-    ]
-    if balls:
-        return made
-    for radius in (2.5 * scale, 4.0 * scale):
-        flat = shapes.cylinder(f"flat {2 * radius:.1f}", radius)
-        made.append((OBJECTS["cylinder"](), radius / CYLINDER_MM, 0.0, flat))
-    side, radius, length = 6 * scale, 2 * scale, 12 * scale
-    made.append((ridge(side, side), 1.0, 0.0, shapes.box("square", side, side)))
-    made.append((lying(radius, length), 1.0, 0.0, shapes.bar("bar", radius, length)))
-    return made
-
-
-def pressed(sensor: PressedSensor, seed: int, balls: bool) -> list[KnownPress]:
-    """The presses with the values that a user states."""
-    rng, model = np.random.default_rng((seed, 77)), sensor.model
-    scale = skin_scale(model.geometry)
-    kinds = indenters(scale, balls)
-    reach_mm = 0.6 * model.skin_radius_mm * np.sin(np.radians(model.visible_half_angle_deg))
-    made = []
-    for k in range(PRESSES):
-        shape, enlarged, radius_mm, known = kinds[k % len(kinds)]
-        rho, angle, yaw = (
-            reach_mm * np.sqrt(rng.random()),
-            rng.uniform(0, 2 * np.pi),
-            rng.uniform(0, 180),
-        )
-        x, y, depth = rho * np.cos(angle), rho * np.sin(angle), rng.uniform(*PRESSED_MM)
-        press = Press(shape, x, y, depth, yaw, enlarged)
-        image = sensor.frame((press,), PRESS_NOISE + k).image
-        made.append(stated_press(rng, f"press {k}", image, press, radius_mm, known))
-    return made
 
 
 def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationResult:
@@ -189,66 +105,6 @@ def calibrated(sensor: PressedSensor, presses: list[KnownPress]) -> CalibrationR
     )
     references = [sensor.frame((), REFERENCE_NOISE + k).image for k in range(REFERENCES)]
     return calibrate(stated, references, presses, networks=load_networks())
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """A frame under a profile, as shipped or fitted;
-    NaN if nothing was found or there was nothing to find.
-    """
-
-    profile: str
-    what: str
-    object: str
-    judged: str
-    depth_mm: float
-    me_mm: float
-    sd_pct: float
-    iou: float
-    held_pct: float = math.nan
-    """Share of the cells in contact whose 90 % interval holds the true height."""
-
-
-def judged_scenes(sensor: PressedSensor, seed: int | None) -> list[tuple[str, Scene]]:
-    """Table I's objects pressed as deep as the presses, deeper, and dragged."""
-    made = []
-    for thing in PAPER_OBJECTS:
-        made += [("pressed", scene) for scene in scenes(sensor.model, seed, thing, DEPTHS_MM)]
-        made += [("beyond", scene) for scene in scenes(sensor.model, seed, thing, (BEYOND_MM,))]
-        for k, scene in enumerate(scenes(sensor.model, seed, thing, (DRAGGED_MM,))):
-            x, y = DRAG_MM * math.cos(2.4 * k), DRAG_MM * math.sin(2.4 * k)
-            made.append(
-                ("dragged", replace(scene, press=replace(scene.press, drag_x_mm=x, drag_y_mm=y)))
-            )
-    return made
-
-
-def judge(
-    name: SensorName, sensor: PressedSensor, calibrations: Mapping[str, Calibration]
-) -> list[Judged]:
-    """Judge every scene with every profile and calibration."""
-    made = [
-        (what, p, make_reconstructor(c, PROFILES[p]))
-        for what, c in calibrations.items()
-        for p in LADDER
-    ]
-    rows = []
-    for judged, scene in judged_scenes(sensor, name.seed):
-        frame = sensor.frame((scene.press,), scene.noise_seed)
-        truth = frame.truth()
-        for what, profile, reconstructor in made:
-            found = reconstructor.step(Frame(0, 0, 0, frame.image))
-            scored = score(Label(str(name), scene.object_name), KnownTruth.of(truth), found)
-            depth, contact, held_pct = scene.press.depth_mm, found.height.contact, math.nan
-            if found.contact and found.sigma_mm is not None:
-                off_mm = np.abs(
-                    found.height.height_mm[contact]
-                    - true_height_mm(frame, reconstructor.grid, contact)
-                )
-                held_pct = 100 * float(np.mean(off_mm <= INTERVAL_90 * found.sigma_mm[contact]))
-            scores = (scored.me_mm, scored.sd_pct, scored.iou, held_pct)
-            rows.append(Judged(profile, what, scene.object_name, judged, depth, *scores))
-    return rows
 
 
 def cost(
@@ -316,7 +172,9 @@ def measured(case: str) -> tuple[dict[str, Any], bytes]:
     model = sensor.model
     result = calibrated(
         sensor,
-        [] if way.presses == "none" else pressed(sensor, name.seed or 0, way.presses == "balls"),
+        []
+        if way.presses == "none"
+        else pressed(sensor, name.seed or 0, balls=way.presses == "balls"),
     )
     stated, mechanics = {}, None
     if way.pin_length:
@@ -408,77 +266,6 @@ def keep(folder: Path | None, case: str, results: Mapping[str, Any], calibration
     path, beside = kept_files(folder, case)
     beside.write_bytes(calibration)
     path.write_text(json.dumps(results))
-
-
-def of_objects(rows: list[Judged], value: str) -> list[float]:
-    """Each object's mean."""
-    each = [[getattr(row, value) for row in rows if row.object == thing] for thing in PAPER_OBJECTS]
-    return [float(np.nanmean(values)) for values in each]
-
-
-def of_sensor(case: str, kept: Mapping[str, bool], rows: list[Judged]) -> list[list[str]]:
-    """Lines of the table of each sensor, one for each profile."""
-    lines = []
-    for profile in LADDER:
-        of_both = []
-        for what in ("shipped", "fitted"):
-            own = [row for row in rows if (row.profile, row.what) == (profile, what)]
-            pressed, moved, deep = ([r for r in own if r.judged == judged] for judged in JUDGED)
-            of_each = of_objects(pressed, "me_mm")
-            me_mm = [
-                np.mean(each)
-                for each in (of_each, of_objects(moved, "me_mm"), of_objects(deep, "me_mm"))
-            ]
-            held = [np.nanmean([row.held_pct for row in some]) for some in (pressed, moved)]
-            sd, iou = (np.mean(of_objects(pressed, value)) for value in ("sd_pct", "iou"))
-            of_both.append(
-                [
-                    *(f"{me:.3f}" for me in (*me_mm, max(of_each))),
-                    f"{sd:.1f}",
-                    f"{iou:.2f}",
-                    *(f"{h:.0f}" for h in held),
-                ]
-            )
-        stays = "yes" if kept[profile] else "no"
-        lines.append(
-            [case, profile, stays, *(cell for pair in zip(*of_both, strict=True) for cell in pair)]
-        )
-    return lines
-
-
-def changes(of_cases: Sequence[tuple[Mapping[str, bool], list[Judged]]]) -> list[list[str]]:
-    """Lines of the table of changes: ME after the fit over that before;
-    a fit that is not kept changes nothing.
-    """
-    lines = []
-    for profile in LADDER:
-        ratios: dict[str, list[float]] = {judged: [] for judged in JUDGED}
-        for kept, rows in of_cases:
-            for judged, of_judged in ratios.items():
-                before, after = (
-                    np.mean(
-                        of_objects(
-                            [
-                                r
-                                for r in rows
-                                if (r.profile, r.judged, r.what) == (profile, judged, w)
-                            ],
-                            "me_mm",
-                        )
-                    )
-                    for w in ("shipped", "fitted")
-                )
-                of_judged.append(float(after / before) if kept[profile] else 1.0)
-        half = np.mean([ratios["pressed"], ratios["dragged"]], axis=0)
-        cells = [
-            cell
-            for each in (ratios["pressed"], ratios["dragged"], half, ratios["beyond"])
-            for cell in (f"{np.mean(each):.2f}", f"{max(each):.2f}")
-        ]
-        lines.append(
-            [profile, f"{sum(kept[profile] for kept, _ in of_cases)} of {len(of_cases)}", *cells]
-        )
-    return lines
 
 
 def main() -> None:

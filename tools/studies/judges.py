@@ -45,7 +45,7 @@ from tacshade_edge.sensor.frame_check import Measured
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.sensor.reconstruct import Reconstructor
 from tacshade_edge.types import U8, Calibration, Frame, Polarity, Reconstruction
-from tools.studies.limits import BEYOND, CHANGES, RELEASED, without_contact
+from tools.studies.disturbances import BEYOND, CHANGES, RELEASED, without_contact
 from tools.testbed.simulator.families import working_sensors
 
 LEAST_MM = 0.3

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,333 +18,38 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from support import bad_pictures
 from tacshade_edge.lab.parallel import Report, Workers, reported_map
-from tacshade_edge.lab.simulator import camera_faults
 from tacshade_edge.lab.simulator.press import OBJECTS, Press, ball, bars, ridge
 from tacshade_edge.lab.simulator.render import project
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.simulator.truth import SimulatedFrame, SimulatedSensor, skin_points
 from tacshade_edge.lab.studies.evaluate.work import (
     NULL_NOISE,
-    PRESSES,
-    REFERENCES,
     SCENE_NOISE,
     PressedSensor,
     SensorName,
     calibrated_sensor,
     reconstructor,
 )
-from tacshade_edge.lab.studies.markdown import grouped, markdown, summary
-from tacshade_edge.reasons import text_of
 from tacshade_edge.sensor.reconstruct import Reconstructor
-from tacshade_edge.types import F64, U8, Calibration, Frame, HeightMap
+from tacshade_edge.types import F64, Calibration, Frame, HeightMap
 from tools.studies import command
-from tools.testbed.simulator.families import released
+from tools.studies.disturbances import BEYOND, CHANGES, RELEASED, UNDISTURBED, without_contact
+from tools.studies.limit_rows import (
+    KINDS,
+    DeepRow,
+    DepthRow,
+    DisturbedRow,
+    FaintRow,
+    FineRow,
+    Found,
+    NullRow,
+    Plan,
+    found,
+)
+from tools.studies.limit_tables import text
 
-Rng = np.random.Generator
-Change = Callable[[U8, SensorModel, Rng], U8]
 _GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The parameters of a study.
-
-    Lengths are in mm for every skin radius; depths are the skin's greatest h.
-    """
-
-    sensors: tuple[SensorName, ...]
-    profiles: tuple[str, ...]
-    references: int = REFERENCES
-    presses: int = PRESSES
-    null_frames: int = 1000  # without contact over all sensors, with the disturbances of normal use
-    beyond_frames: int = 300  # with greater ones (`BEYOND`)
-    ball_radii_mm: tuple[float, ...] = (3.0, 6.0, 9.0)
-    faint_depths_mm: tuple[float, ...] = (
-        0.1,
-        0.15,
-        0.2,
-        0.25,
-        0.3,
-        0.35,
-        0.4,
-        0.5,
-        0.6,
-        0.8,
-        1.0,
-        1.5,
-    )
-    faint_places: int = 12  # of each sensor
-    depths_mm: tuple[float, ...] = tuple(
-        0.5 * k for k in range(1, 17)
-    )  # of a ball of 6 mm and a cylinder
-    deep_places: int = 8
-    pitches_mm: tuple[float, ...] = (
-        1.4,
-        1.6,
-        1.8,
-        2.0,
-        2.2,
-        2.4,
-    )  # with which the first sensor is printed again
-    gaps_mm: tuple[float, ...] = (
-        0.5,
-        1.0,
-        1.5,
-        2.0,
-        2.5,
-        3.0,
-        3.5,
-        4.0,
-        5.0,
-        6.0,
-    )  # between bars of `bar_width_mm`
-    widths_mm: tuple[float, ...] = (0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 4.0)  # of a ridge
-    bar_width_mm: float = 2.0
-    fine_depth_mm: float = 2.5  # along z at the place
-    fine_places: int = 6
-    disturbed_places: int = 16  # contacts 2 mm deep for each disturbance and sensor
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A reconstruction without its maps. `doubt` is why it is invalid or degraded, or empty."""
-
-    profile: str
-    valid: bool
-    contact: bool
-    saturated: bool
-    found_mm: float
-    objects: int
-    doubt: str
-
-
-def found(
-    made: Reconstructor, image: U8
-) -> tuple[tuple[str, bool, bool, bool, float, int, str], HeightMap]:
-    """The fields of `Found`, which begin each row, and the map."""
-    result = made.step(Frame(0, 0, 0, image))
-    doubt = text_of(result.reason or result.degraded)
-    seen = (
-        result.valid,
-        result.contact,
-        result.saturated,
-        result.depth_max_mm,
-        len(result.objects),
-        doubt,
-    )
-    return (result.profile, *seen), result.height
-
-
-@dataclass(frozen=True, slots=True)
-class NullRow(Found):
-    """A frame without contact, in which `contact` is a phantom."""
-
-    sensor: str
-    disturbance: str
-    seed: int
-
-
-@dataclass(frozen=True, slots=True)
-class DepthRow(Found):
-    """A press to a greatest h of `depth_mm`; `true_mm` is the greatest h
-    of the simulated skin's grid.
-    """
-
-    sensor: str
-    object: str
-    radius_mm: float
-    depth_mm: float
-    x_mm: float
-    y_mm: float
-    true_mm: float
-
-
-class FaintRow(DepthRow):
-    """In the search for the least depth."""
-
-
-class DeepRow(DepthRow):
-    """In the search for the greatest depth."""
-
-
-@dataclass(frozen=True, slots=True)
-class FineRow(Found):
-    """Two bars with a gap (`size_mm`), or a ridge with a width (`size_mm`),
-    on a sensor with a marker pitch.
-
-    For bars, `true_height_mm` and `found_height_mm` are the dip of h between them;
-    for a ridge, its greatest h.
-    """
-
-    pitch_mm: float
-    shape: str
-    size_mm: float
-    x_mm: float
-    y_mm: float
-    rotation_deg: float
-    true_height_mm: float
-    found_height_mm: float
-
-
-@dataclass(frozen=True, slots=True)
-class DisturbedRow(Found):
-    """A contact in a disturbed image.
-
-    `clean_mm` is the depth from the same frame without the disturbance.
-    """
-
-    sensor: str
-    disturbance: str
-    seed: int
-    x_mm: float
-    y_mm: float
-    true_mm: float
-    clean_mm: float
-
-    @property
-    def off(self) -> float:
-        """Relative difference between the depth and the undisturbed frame's;
-        a lost contact counts as 1.
-        """
-        return abs(self.found_mm / self.clean_mm - 1)
-
-    @property
-    def silently_wrong(self) -> bool:
-        """Whether the contact is lost or has a wrong depth,
-        and nothing warns a program to trust it less.
-        """
-        return self.off > WRONG and self.valid and not self.doubt and not self.saturated
-
-
-KINDS = {
-    "_nulls": NullRow,
-    "_faint": FaintRow,
-    "_deep": DeepRow,
-    "_fine": FineRow,
-    "_disturbed": DisturbedRow,
-}
-
-UNDISTURBED = "nothing"
-RELEASED = "after a release"
-"""Nothing touches, but the skin keeps 2 to 10 % of the dent
-(up to 0.4 mm) of a ball pressed 2 to 4 mm deep.
-"""
-LEFT = (0.02, 0.1)
-
-
-def _glare(image: U8, model: SensorModel, rng: Rng) -> U8:
-    rho, angle = 0.9 * model.disc_radius_px * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
-    sigma, level = float(rng.uniform(2, 20)), float(rng.uniform(60, 255))
-    row, col = model.row_c + rho * math.sin(angle), model.col_c + rho * math.cos(angle)
-    return camera_faults.glare(image, row, col, sigma, level)
-
-
-def _aged(image: U8, model: SensorModel, rng: Rng) -> U8:
-    loss, angle = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0, 360))
-    return camera_faults.uneven(image, model.row_c, model.col_c, model.disc_radius_px, loss, angle)
-
-
-def _noisy(low: float, high: float) -> Change:
-    return lambda image, _, rng: camera_faults.noise(
-        image, float(rng.uniform(low, high)), int(rng.integers(1 << 30))
-    )
-
-
-CHANGES: dict[str, Change] = {
-    UNDISTURBED: lambda image, model, rng: image,
-    "light within 20 %": lambda image, _, rng: camera_faults.gain(
-        image, float(rng.uniform(0.8, 1.2))
-    ),
-    "one side dims by 10 to 40 %": _aged,
-    "glare spot": _glare,
-    "warm-up": lambda image, m, rng: bad_pictures.warm(
-        image, m.row_c, m.col_c, float(rng.uniform(0, 1))
-    ),
-    "moved by 1 px": lambda image, _, rng: camera_faults.shift(
-        image, *((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
-    ),
-    "noise of 2 to 10 levels": _noisy(2, 10),
-}
-"""Changes of an image, by name.
-
-Glare has a standard deviation of 2 to 20 px and 60 to 255 levels.
-"""
-
-
-def _far_light(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return camera_faults.gain(image, float(rng.choice((0.3, 0.5, 0.7, 1.3, 1.5, 2.0, 3.0))))
-
-
-def _far_moved(image: U8, model: SensorModel, rng: Rng) -> U8:
-    rows, cols = (int(rng.choice((-1, 1)) * rng.integers(2, 6)) for _ in range(2))
-    return camera_faults.shift(image, rows, cols)
-
-
-def _torn_row(model: SensorModel, rng: Rng) -> int:
-    return round(
-        model.row_c + model.disc_radius_px * float(rng.choice((-0.6, -0.3, 0.0, 0.3, 0.6)))
-    )
-
-
-def _sideways(px: int) -> Change:
-    def change(image: U8, model: SensorModel, rng: Rng) -> U8:
-        scaled_px = round(px * model.image_width_px / 640)
-        return bad_pictures.torn(
-            image, image, _torn_row(model, rng), scaled_px * int(rng.choice((-1, 1)))
-        )
-
-    return change
-
-
-def _repeated(image: U8, model: SensorModel, rng: Rng) -> U8:
-    row = _torn_row(model, rng)
-    return np.concatenate((image[:row], np.broadcast_to(image[row], image[row:].shape)))
-
-
-def _down(image: U8, model: SensorModel, rng: Rng) -> U8:
-    row, px = _torn_row(model, rng), round(40 * model.image_height_px / 480)
-    return np.concatenate((image[:row], image[row - px : len(image) - px]))
-
-
-def _flat_below(image: U8, model: SensorModel, rng: Rng) -> U8:
-    return bad_pictures.torn(
-        image, np.full_like(image, int(rng.choice((0, 128)))), _torn_row(model, rng)
-    )
-
-
-BEYOND: dict[str, Change] = {
-    "light x0.3 to x3": _far_light,
-    "moved by 3 to 7 px": _far_moved,
-    "noise of 15 to 50 levels": _noisy(15, 50),
-    "blur of 1 to 5 px": lambda image, _, rng: bad_pictures.defocus(
-        image, float(rng.uniform(1, 5))
-    ),
-    "torn: rows sideways by 60 px": _sideways(60),
-    "torn: rows sideways by 200 px": _sideways(200),
-    "torn: one row again and again": _repeated,
-    "torn: rows down by 40 px": _down,
-    "torn: black or grey below": _flat_below,
-}
-"""Disturbances that are not compensated; at best, the result is invalid or degraded.
-
-A tear begins at one of five rows, and pixels are those of a 640x480 image.
-"""
-
-
-def without_contact(sensor: PressedSensor, what: str, seed: int, noise_seed: int) -> U8:
-    """Take an image without contact, disturbed by `CHANGES`, `RELEASED` or `BEYOND`,
-    drawn from the seed.
-    """
-    rng = np.random.default_rng((seed, 31))
-    if what == RELEASED:
-        model = sensor.model
-        rho, angle = model.skin_radius_mm * rng.uniform(0, 0.4), rng.uniform(0, 2 * math.pi)
-        radius, depth, part = rng.uniform(3, 9), rng.uniform(2, 4), rng.uniform(*LEFT)
-        press = Press(ball(radius), rho * math.cos(angle), rho * math.sin(angle), depth)
-        return released(sensor, (press,), part, noise_seed).image
-    return (CHANGES | BEYOND)[what](sensor.frame((), noise_seed).image, sensor.model, rng)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -584,178 +289,6 @@ def _disturbed(task: _Task) -> list[DisturbedRow]:
                 for each, mm in zip(made, clean, strict=True)
             ]
     return rows
-
-
-DETECTED = 0.95
-"""Share of presses that must be found for a depth to count as detected."""
-RESOLVED = 0.75
-"""Share of places at which a gap or ridge must be resolved."""
-DIP_PART, LEAST_DIP_MM, RIDGE_OFF = 0.5, 0.05, 0.2
-"""A gap is resolved if h dips by at least half of the true dip,
-and a ridge if its height is within a fifth.
-"""
-WRONG = 0.25
-"""Relative error above which a depth counts as wrong."""
-FINE: dict[str, tuple[str, Callable[[FineRow], bool]]] = {
-    "gap: two objects": ("bars", lambda row: row.objects == 2),
-    "gap: half the dip": (
-        "bars",
-        lambda row: row.found_height_mm >= max(DIP_PART * row.true_height_mm, LEAST_DIP_MM),
-    ),
-    "ridge: height within 20 %": (
-        "ridge",
-        lambda r: abs(r.found_height_mm / r.true_height_mm - 1) <= RIDGE_OFF,
-    ),
-}
-"""The questions about fine shapes, with the shape and the test of each."""
-
-
-def detected(some: Sequence[DepthRow]) -> dict[float, float]:
-    """Share of presses found by depth."""
-    return {
-        depth: float(np.mean([r.contact for r in of]))
-        for depth, of in sorted(grouped(some, "depth_mm").items())
-    }
-
-
-def depth_errors(some: Sequence[DepthRow]) -> dict[float, tuple[float, float, float]]:
-    """By depth: mean absolute error, its 90th percentile in mm, share reported as saturated."""
-    made = {}
-    for depth, here in sorted(grouped(some, "depth_mm").items()):
-        off = np.abs([r.found_mm - r.true_mm for r in here])
-        made[depth] = (
-            float(off.mean()),
-            float(np.quantile(off, 0.9)),
-            float(np.mean([r.saturated for r in here])),
-        )
-    return made
-
-
-def finest(rows: Sequence[FineRow], pitch_mm: float, question: str) -> float:
-    """Find the size at and above which a shape is resolved at `RESOLVED` of the places;
-    infinity if there is none.
-    """
-    shape, came_out = FINE[question]
-    least = math.inf
-    sizes = grouped((r for r in rows if r.pitch_mm == pitch_mm and r.shape == shape), "size_mm")
-    for size, some in sorted(sizes.items(), reverse=True):
-        if np.mean([came_out(r) for r in some]) < RESOLVED:
-            break
-        least = size
-    return least
-
-
-def by_profile(rows: Iterable[Found], kind: type[_Row]) -> dict[str, list[_Row]]:
-    """The rows of a kind by profile."""
-    return grouped((row for row in rows if isinstance(row, kind)), "profile")
-
-
-_Row = TypeVar("_Row", bound=Found)
-
-NULLS: dict[str, Callable[[Sequence[NullRow]], str]] = {
-    "frames": lambda some: str(len(some)),
-    "invalid": lambda some: str(sum(not r.valid for r in some)),
-    "degraded": lambda some: str(sum(r.valid and bool(r.doubt) for r in some)),
-    "phantoms": lambda some: str(sum(r.contact for r in some)),
-    "silent ones": lambda some: str(sum(r.contact and not r.doubt for r in some)),
-    "deepest mm": lambda some: f"{max(r.found_mm for r in some):.2f}",
-}
-DISTURBED: dict[str, Callable[[Sequence[DisturbedRow]], str]] = {
-    "frames": lambda some: str(len(some)),
-    "mean %": lambda some: f"{100 * np.mean([r.off for r in some]):.1f}",
-    "worst %": lambda some: f"{100 * max(r.off for r in some):.0f}",
-    "invalid": lambda some: str(sum(not r.valid for r in some)),
-    "degraded": lambda some: str(sum(r.valid and bool(r.doubt) for r in some)),
-    "lost": lambda some: str(sum(r.valid and not r.contact for r in some)),
-    "silently > 25 %": lambda some: str(sum(r.silently_wrong for r in some)),
-}
-
-
-def text(rows: Sequence[Found]) -> str:
-    """The tables, for a terminal and a document."""
-    parts: tuple[tuple[str, Callable[[Any], str], type[Any]], ...] = (
-        ("Nothing touches", _nulls_table, NullRow),
-        ("The least depth: part of the presses that is found, %", _faint_table, FaintRow),
-        ("The greatest depth: error of the greatest h, mm", _deep_table, DeepRow),
-        ("The finest shape, mm", _fine_table, FineRow),
-        ("A contact of 2 mm, disturbed: change of its depth, %", _disturbed_table, DisturbedRow),
-    )
-    of_kinds = ((title, table, by_profile(rows, kind)) for title, table, kind in parts)
-    return "\n\n".join(f"{title}\n\n{table(some)}" for title, table, some in of_kinds if some)
-
-
-def _nulls_table(profiles: Mapping[str, Sequence[NullRow]]) -> str:
-    kinds = list(dict.fromkeys(row.disturbance for rows in profiles.values() for row in rows))
-    within = [kind for kind in kinds if kind not in BEYOND]
-    parts = {**{kind: [kind] for kind in within}, "all of these": within}
-    parts |= {f"beyond: {kind}": [kind] for kind in kinds if kind in BEYOND}
-    groups = [
-        ((title, profile), [row for row in rows if row.disturbance in part])
-        for title, part in parts.items()
-        for profile, rows in profiles.items()
-    ]
-    return summary(("what", "method"), groups, NULLS)
-
-
-def _faint_table(profiles: Mapping[str, Sequence[FaintRow]]) -> str:
-    lines, depths = (
-        [],
-        dict.fromkeys(depth for rows in profiles.values() for depth in detected(rows)),
-    )
-    for radius in sorted({row.radius_mm for rows in profiles.values() for row in rows}):
-        for profile, rows in profiles.items():
-            parts = detected([row for row in rows if row.radius_mm == radius]).values()
-            lines.append(
-                [f"ball, radius {radius:g} mm", profile, *(f"{100 * part:.0f}" for part in parts)]
-            )
-    return markdown(["object", "method", *(f"{depth:g} mm" for depth in depths)], lines)
-
-
-def _deep_table(profiles: Mapping[str, Sequence[DeepRow]]) -> str:
-    lines: list[list[str]] = []
-    for name in dict.fromkeys(row.object for rows in profiles.values() for row in rows):
-        for profile, rows in profiles.items():
-            known = depth_errors([row for row in rows if row.object == name])
-            whole = [known[depth] for depth in known if depth == round(depth)]
-            lines.append([f"{name}, mean", profile, *(f"{mean:.2f}" for mean, _, _ in whole)])
-            lines.append([f"{name}, 90 %", profile, *(f"{high:.2f}" for _, high, _ in whole)])
-            lines.append(
-                [
-                    f"{name}, saturated %",
-                    profile,
-                    *(f"{100 * saturated:.0f}" for *_, saturated in whole),
-                ]
-            )
-    depths = dict.fromkeys(
-        depth for rows in profiles.values() for depth in depth_errors(rows) if depth == round(depth)
-    )
-    return markdown(["object", "method", *(f"{depth:g} mm" for depth in depths)], lines)
-
-
-def _fine_table(profiles: Mapping[str, Sequence[FineRow]]) -> str:
-    pitches = dict.fromkeys(row.pitch_mm for rows in profiles.values() for row in rows)
-    lines = []
-    for question in FINE:
-        for profile, rows in profiles.items():
-            sizes = (finest(rows, pitch, question) for pitch in pitches)
-            lines.append(
-                [
-                    question,
-                    profile,
-                    *("none" if size == math.inf else f"{size:g}" for size in sizes),
-                ]
-            )
-    return markdown(["what", "method", *(f"pitch {pitch:g}" for pitch in pitches)], lines)
-
-
-def _disturbed_table(profiles: Mapping[str, Sequence[DisturbedRow]]) -> str:
-    kinds = dict.fromkeys(row.disturbance for rows in profiles.values() for row in rows)
-    groups = [
-        ((what, profile), [row for row in rows if row.disturbance == what])
-        for what in kinds
-        for profile, rows in profiles.items()
-    ]
-    return summary(("what", "method"), groups, DISTURBED)
 
 
 def main(words: Sequence[str] | None = None) -> None:
