@@ -5,37 +5,31 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import Any
 
 import numpy as np
 import pytest
 
-from support.calibrated_sensor import calibrated, pressed, step, unloaded
-from support.patience import patience, wait_until
+from support.calibrated_sensor import pressed, step, unloaded
+from support.patience import wait_until
+from support.session_rig import DEADLINE_S, Robot, code, status, wait
 from support.synced_names import synced, unsynced
-from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameResult, FrameWaiters
+from tacshade_edge.pipeline.observer import FRAME_TIMEOUT_NS, WAITING_MAX, FrameWaiters
 from tacshade_edge.reasons import Reason, ReasonCode
 from tacshade_edge.robot.port import SerialPort
 from tacshade_edge.robot.robot import Robot as SerialRobot
 from tacshade_edge.stitching.session import MapRevision
-from tacshade_edge.stitching.session_worker import Sessions
 from tacshade_edge.stitching.stitch_file import open_session
-from tacshade_edge.stitching.stitcher import FinishedMap, Stitcher
-from tacshade_edge.types import Frame, Need, Pose, Reconstruction
+from tacshade_edge.types import Need, Reconstruction
 from tacshade_edge.wire.results import (
     NoSession,
     PressAdded,
     SessionAborted,
     SessionBegun,
     SessionEnded,
-    SessionResult,
-    SessionStatus,
 )
 
 
@@ -62,81 +56,6 @@ def test_who_waits_in_vain_or_is_one_too_many_is_refused() -> None:
     for _ in range(WAITING_MAX + 1):
         waiting.put(0, refused.append)
     assert [reason.code for reason in refused] == [ReasonCode.BUSY]
-
-
-DEADLINE_S = 20.0
-
-Outcome = SessionResult | Reason
-
-
-class Robot:
-    """Sends commands, shows frames, waits for answers."""
-
-    def __init__(self, folder: Path, *, poses: Any = None) -> None:
-        self.maps: list[MapRevision] = []
-        self.published: dict[str, bytes] = {}
-        self.sessions = Sessions(folder, "left", self.published.__setitem__, poses)
-        self.sessions.publish_map = lambda revision: bool(self.maps.append(revision))
-        before = set(threading.enumerate())
-        self.sessions.start()
-        (self._thread,) = set(threading.enumerate()) - before
-        self.seq = 0
-
-    def ask(self, action: str, name: str = "") -> Outcome:
-        return wait(self.begin(action, name))
-
-    def begin(self, action: str, name: str = "") -> SimpleQueue[Outcome]:
-        answers: SimpleQueue[Outcome] = SimpleQueue()
-        self.sessions.submit(action, name, answers.put)
-        return answers
-
-    def show(
-        self,
-        result: Reconstruction,
-        x_mm: float = 0.0,
-        *,
-        pose: bool = True,
-        t_ns: int | None = None,
-    ) -> None:
-        self.seq += 1
-        at_ns = time.monotonic_ns() if t_ns is None else t_ns
-        where = Pose(at_ns, x_mm, 0.0, 20.0, 0.0, 1.0, 0.0, 0.0) if pose else None
-        frame = Frame(self.seq, at_ns, 0, np.zeros((4, 4), np.uint8), where)
-        self.sessions.see(
-            FrameResult(frame, calibrated(), replace(result, seq=self.seq, t_ns=at_ns))
-        )
-
-    def add(self, result: Reconstruction, x_mm: float = 0.0, *, pose: bool = True) -> Outcome:
-        answers = self.begin("ADD")
-        self.show(result, x_mm, pose=pose)
-        return wait(answers)
-
-    def status(self) -> dict[str, Any]:
-        """The latest ``status/stitching``."""
-        self.sessions.poll()
-        return dict(json.loads(self.published["status/stitching"]))
-
-    def end(self) -> None:
-        self.sessions.stop(patience(DEADLINE_S))
-        assert not self._thread.is_alive()
-
-
-def code(outcome: Outcome) -> ReasonCode | None:
-    """Why it was not done; None when it was."""
-    return outcome.code if isinstance(outcome, Reason) else None
-
-
-def status(robot: Robot) -> SessionStatus:
-    outcome = robot.ask("STATUS")
-    assert isinstance(outcome, SessionStatus)
-    return outcome
-
-
-def wait(answers: SimpleQueue[Outcome]) -> Outcome:
-    try:
-        return answers.get(timeout=patience(DEADLINE_S))
-    except Empty:
-        raise AssertionError("no answer") from None
 
 
 @pytest.fixture
@@ -430,65 +349,3 @@ def test_what_was_not_added_is_counted_and_published(
     assert (robot.status()["reason"], robot.status()["missed"]) == ("", 1)
     assert robot.sessions.health() == {"presses": 1, "refused": 1, "missed": 1, "waiting": 0}
     robot.end()
-
-
-def maps_wait(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Let no map be finished before the event is set."""
-    finish, go_on = Stitcher.finish, threading.Event()
-
-    def slow(stitcher: Stitcher) -> FinishedMap:
-        assert go_on.wait(patience(20))
-        return finish(stitcher)
-
-    monkeypatch.setattr(Stitcher, "finish", slow)
-    return go_on
-
-
-def test_a_stop_does_not_wait_for_a_map_and_refuses_its_end_once(
-    tmp_path: Path, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = Robot(tmp_path)
-    robot.show(ball)
-    robot.ask("BEGIN", "pad")
-    robot.add(ball)
-    go_on = maps_wait(monkeypatch)
-    ended, added = robot.begin("END"), robot.begin("ADD")
-    wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
-    robot.sessions.stop(0.01)
-    assert [code(wait(each)) for each in (ended, added)] == [ReasonCode.DAEMON_STOPPED] * 2
-    assert robot.status()["state"] == "ending"
-    go_on.set()
-    robot.end()
-    # What was refused is not done either: the next daemon's sessions go on with it, and end it.
-    assert ended.empty()
-    assert open_session(tmp_path, "left") == tmp_path / "pad"
-    assert not (tmp_path / "pad" / "map.npz").exists()
-    again = Robot(tmp_path)
-    assert status(again).presses == 1
-    assert isinstance(again.ask("END"), SessionEnded)
-    again.end()
-
-
-def test_a_press_that_waited_until_its_session_had_ended_is_refused(
-    robot: Robot, ball: Reconstruction, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot.show(ball)
-    robot.ask("BEGIN")
-    robot.add(ball)
-    go_on = maps_wait(monkeypatch)
-    ended = robot.begin("END")
-    wait_until(lambda: robot.status()["state"] == "ending", 20, "ending")
-    added = robot.begin("ADD")
-    robot.show(ball)
-    go_on.set()
-    assert isinstance(wait(ended), SessionEnded)
-    assert wait(added) == Reason(ReasonCode.NO_SESSION, "the session has ended")
-
-
-def test_what_waits_at_a_stop_is_refused(robot: Robot, ball: Reconstruction) -> None:
-    robot.show(ball)
-    robot.ask("BEGIN")
-    added = robot.begin("ADD")  # no frame comes
-    robot.end()
-    late = robot.begin("STATUS")
-    assert [code(wait(each)) for each in (added, late)] == [ReasonCode.DAEMON_STOPPED] * 2
