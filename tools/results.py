@@ -185,6 +185,13 @@ PAGES = {
             ),
         },
     ),
+    "factors": Page(
+        {
+            "": "tools.studies.factors --states out/strangers --range final",
+            "Presses of seven shapes": "tools.studies.factors --mixed",
+        },
+        code=("tacshade_edge/calibration",),
+    ),
     "third-family": Page(
         {
             "": f"{THIRD} working --sensors 6 --ways 2 --states out/third",

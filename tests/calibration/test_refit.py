@@ -100,8 +100,8 @@ def test_without_contact_there_is_nothing_to_locate_or_fit() -> None:
     assert refit.press_factor(nothing, geometry(), stated_ball(20.0, 0.0, 0.0, 2.0, 5.0)) is None
 
 
-@pytest.mark.parametrize(("factor", "left"), [(0.6, 0.05), (0.75, 0.05), (1.0, 0.01), (1.35, 0.05)])
-def test_a_constant_factor_is_taken_away(factor: float, left: float) -> None:
+@pytest.mark.parametrize(("factor", "left"), [(1.0, 0.01), (1.35, 0.05), (1.7, 0.05)])
+def test_heights_too_great_by_a_factor_are_lowered(factor: float, left: float) -> None:
     fitted = refit.fit_factor(rows(factor))
     assert fitted is not None
     ball = stated_ball(20.0, -2.0, 3.0, 2.2, 5.5)  # not one of the presses
@@ -115,25 +115,30 @@ def presses_that_tell(factors: list[float]) -> list[tuple[float, float]]:
 
 
 def test_a_small_factor_is_the_shapes_and_a_large_one_the_sensors() -> None:
-    assert refit.fit_factor(presses_that_tell([1.03] * 40)) == pytest.approx(1.0, abs=0.005)
-    assert refit.fit_factor(presses_that_tell([1.5] * 40)) == pytest.approx(1.5, rel=0.02)
+    assert refit.fit_factor(presses_that_tell([0.97] * 40)) == pytest.approx(1.0, abs=0.005)
+    assert refit.fit_factor(presses_that_tell([0.67] * 40)) == pytest.approx(0.67, rel=0.02)
+
+
+@pytest.mark.parametrize(("told", "factor"), [(1.1, 1.01), (1.3, 1.12), (1.5, 1.3), (2.0, 1.79)])
+def test_presses_that_ask_for_greater_heights_are_believed_less(told: float, factor: float) -> None:
+    assert refit.fit_factor(presses_that_tell([told] * 40)) == pytest.approx(factor, abs=0.01)
 
 
 def test_wrong_presses_hardly_move_it() -> None:
-    spread = list(1.2 * np.exp(np.random.default_rng(3).normal(0, 0.1, 35)))
+    spread = list(0.8 * np.exp(np.random.default_rng(3).normal(0, 0.1, 35)))
     honest, misled = (
-        refit.fit_factor(presses_that_tell(spread + wrong)) for wrong in ([], [3.0] * 5)
+        refit.fit_factor(presses_that_tell(spread + wrong)) for wrong in ([], [0.3] * 5)
     )
-    assert honest == pytest.approx(1.2, abs=0.05)
+    assert honest == pytest.approx(0.8, abs=0.05)
     assert misled == pytest.approx(honest, rel=0.05)
 
 
 def test_presses_that_do_not_agree_draw_it_less_far() -> None:
     """It stays nearer to 1 the fewer they are and the less they agree."""
-    clear, spread = ([1.5 * f for f in np.exp(s * np.linspace(-1, 1, 6))] for s in (0.02, 0.6))
+    clear, spread = ([0.67 * f for f in np.exp(s * np.linspace(-1, 1, 6))] for s in (0.02, 0.6))
     few, many = (refit.fit_factor(presses_that_tell(spread * n)) or 0.0 for n in (1, 6))
-    assert 1.1 < few < many < (refit.fit_factor(presses_that_tell(clear)) or 0.0)
-    assert refit.fit_factor(presses_that_tell(clear)) == pytest.approx(1.5, abs=0.03)
+    assert 0.9 > few > many > (refit.fit_factor(presses_that_tell(clear)) or 0.0)
+    assert refit.fit_factor(presses_that_tell(clear)) == pytest.approx(0.67, abs=0.03)
 
 
 def test_few_presses_fit_nothing_and_the_factor_is_bounded() -> None:

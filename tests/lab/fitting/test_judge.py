@@ -86,21 +86,21 @@ def test_a_network_has_a_factor_if_every_indenter_asks_for_that_of_the_others() 
 
     network = load_network("fast")
 
-    def shallow(white: F32, sensor: F32, features: Features | None = None) -> list[F32]:
+    def deeper(white: F32, sensor: F32, features: Features | None = None) -> list[F32]:
         maps, untrusted = network.run(white, sensor, features)
-        return [np.concatenate((maps[: network.fold**2] / 2, maps[network.fold**2 :])), untrusted]
+        return [np.concatenate((maps[: network.fold**2] * 2, maps[network.fold**2 :])), untrusted]
 
-    halved = replace(network, run=shallow)
+    doubled = replace(network, run=deeper)
     own = [replace(press, radius_mm=5.0) for press in presses()[:12]]
     judging = JudgingPresses(calibrated(), PROFILES["fast"], own)
-    alike = judging.measure(halved)
+    alike = judging.measure(doubled)
     assert (len(alike.errors_mm), alike.factor) == (1, 1.0)
-    assert judging.measure(halved, 2.0).mean_mm < 0.6 * alike.mean_mm
+    assert judging.measure(doubled, 0.5).mean_mm < 0.6 * alike.mean_mm
     others = [replace(press, radius_mm=5.1) for press in own[6:]]
     mixed = JudgingPresses(calibrated(), PROFILES["fast"], [*own[:6], *others])
-    found = mixed.measure(halved)
+    found = mixed.measure(doubled)
     assert (len(found.errors_mm), found.presses) == (2, 12)
-    assert found.factor == pytest.approx(2, rel=0.2)
+    assert found.factor == pytest.approx(0.5, rel=0.2)
     assert found.mean_mm < 0.5 * alike.mean_mm
 
 
