@@ -11,13 +11,15 @@ from pathlib import Path
 
 import pytest
 
+from support import calibrated_sensor
 from support.mqtt_rig import Broker, Subscriber
 from support.painted_sensor import BLACK, FREE, TOUCHED, painted_calibration
 from support.patience import wait_until
 from support.running_app import Live
+from support.session_rig import Robot
 from tacshade_edge.daemon import app, sensor_state
 from tacshade_edge.errors import TacshadeError
-from tacshade_edge.types import U8, Calibration, Frame
+from tacshade_edge.types import U8, Calibration, Frame, Reconstruction
 
 Step = U8 | TacshadeError | Callable[[], None] | None
 
@@ -120,3 +122,17 @@ def link() -> Iterator[Path]:
     path = Path(f"/dev/shm/tacshade-test-{os.getpid()}-{next(numbers)}")
     yield path
     path.unlink(missing_ok=True)
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    """A robot on the thread of stitching sessions."""
+    one = Robot(tmp_path / "sessions")
+    yield one
+    one.end()
+
+
+@pytest.fixture(scope="module")
+def ball() -> Reconstruction:
+    """A frame in contact."""
+    return calibrated_sensor.step("fast", calibrated_sensor.pressed("ball", 3.0).image)

@@ -6,14 +6,13 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from support.calibrated_sensor import pressed, step, unloaded
+from support.calibrated_sensor import step, unloaded
 from support.patience import wait_until
 from support.session_rig import DEADLINE_S, Robot, code, status, wait
 from support.synced_names import synced, unsynced
@@ -56,18 +55,6 @@ def test_who_waits_in_vain_or_is_one_too_many_is_refused() -> None:
     for _ in range(WAITING_MAX + 1):
         waiting.put(0, refused.append)
     assert [reason.code for reason in refused] == [ReasonCode.BUSY]
-
-
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Robot]:
-    one = Robot(tmp_path / "sessions")
-    yield one
-    one.end()
-
-
-@pytest.fixture(scope="module")
-def ball() -> Reconstruction:
-    return step("fast", pressed("ball", 3.0).image)
 
 
 @pytest.fixture(scope="module")

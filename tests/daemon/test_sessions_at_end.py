@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from support.calibrated_sensor import pressed, step
 from support.patience import patience, wait_until
 from support.session_rig import Robot, code, status, wait
 from tacshade_edge.reasons import Reason, ReasonCode
@@ -16,18 +14,6 @@ from tacshade_edge.stitching.stitch_file import open_session
 from tacshade_edge.stitching.stitcher import FinishedMap, Stitcher
 from tacshade_edge.types import Reconstruction
 from tacshade_edge.wire.results import SessionEnded
-
-
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Robot]:
-    one = Robot(tmp_path / "sessions")
-    yield one
-    one.end()
-
-
-@pytest.fixture(scope="module")
-def ball() -> Reconstruction:
-    return step("fast", pressed("ball", 3.0).image)
 
 
 def maps_wait(monkeypatch: pytest.MonkeyPatch) -> threading.Event:

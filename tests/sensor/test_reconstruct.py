@@ -223,11 +223,12 @@ def test_each_stage_is_marked_once_in_order(profile: str) -> None:
 @pytest.mark.slow
 def test_a_sensor_that_darkens() -> None:
     assert calibrated(TACTIP).polarity == "dark"
-    presses = product(("ball",), (2.0, 3.0, 4.0), (0.0,), (0.0,))
+    objects = ("ball", "cube", "cylinder", "large_crescent", "small_crescent")
+    presses = product(objects, (2.0, 3.0, 4.0), (0.0,), (0.0,))
     errors = depth_errors(reconstructor("fast", TACTIP), TACTIP, presses)
-    assert np.abs(errors).max() < 0.3  # 0.226
-    # Balls ask for greater heights here, which other shapes would not bear out.
-    assert abs(errors.mean()) < 0.15  # 0.124
+    assert np.abs(errors).max() < 0.3  # 0.238
+    # Not of balls alone: a factor that suits them makes all others too deep.
+    assert abs(errors.mean()) < 0.1  # 0.077
 
 
 @pytest.mark.parametrize("profile", EVERY_PROFILE)

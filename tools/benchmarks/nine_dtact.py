@@ -7,8 +7,8 @@ rounds on one thread.
     git clone https://github.com/linchangyi1/9DTact /tmp/9DTact
     .venv/bin/python -m tools.benchmarks.nine_dtact /tmp/9DTact [--rounds 12] [--frames 60]
 
-9DTact (MIT) is a sensor of the same price whose height map is a difference from the reference, a
-table and three Gaussians: about the least that a camera behind skin needs. Its
+9DTact (MIT) makes its height map by a difference from the reference, a table and three Gaussians:
+about the least that a camera behind skin needs. Its
 ``raw_image_2_height_map`` runs on the grey of the 640x480 colour image that the profiles get, with
 a table of 100 depths. Each figure is the median over rounds of a round's median; a ratio is the
 median of the rounds' ratios.
@@ -46,6 +46,8 @@ DEEPEST_MM, DEPTHS = 2.0, 100
 def height_map_of(checkout: Path) -> Callable[..., Any]:
     """9DTact's method, without the modules that it needs for its camera."""
     path = checkout / SOURCE
+    if not path.is_file():
+        raise SystemExit(f"{path}: found no such file, expected a checkout of 9DTact")
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     found = [node for node in nodes if isinstance(node, ast.FunctionDef) and node.name == METHOD]
     if len(found) != 1:
