@@ -167,19 +167,8 @@ PAGES = {
     ),
     "strangers": Page(
         {
-            "": f"{STRANGERS} --families third --range final --sensors 4 --ways none",
-            "Third family, with 40 balls": (
-                f"{STRANGERS} --families third --range final --sensors 4 --ways balls"
-            ),
-            "Third family, with touches": (
-                f"{STRANGERS} --families third --range final --sensors 2 --ways touches"
-            ),
-            "Layered skins, with touches": (
-                f"{STRANGERS} --families layered --range final --sensors 4 --ways touches"
-            ),
-            "Oblate skins, with touches": (
-                f"{STRANGERS} --families oblate --range final --sensors 4 --ways touches"
-            ),
+            "": f"{STRANGERS} --families third --range final",
+            "Layered and oblate skins": f"{STRANGERS} --families layered,oblate --range final",
             "Do touches rank maps?": (
                 "tools.studies.strangers.explained --states out/strangers --range final --sensors 2"
             ),

@@ -6,6 +6,7 @@ import json
 import math
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -356,6 +357,23 @@ def test_a_kept_case_is_not_measured_again_unless_the_program_changed(
     monkeypatch.setattr(evaluate, "fingerprint", lambda _: "another")
     with pytest.raises(FileNotFoundError):  # it is measured, and nothing was solved
         list(evaluate.of_cases([case], tmp_path / "none", tmp_path))
+
+
+def test_a_sensor_whose_presses_are_refused_is_calibrated_without_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = layered.layered("working", 0, tmp_path)
+    untouched_press = KnownPress("press 0", own.references(1)[0], 5.0, 2.0, x_mm=0.0, y_mm=0.0)
+    stranger = SimpleNamespace(
+        stated=own.stated,
+        references=own.references,
+        balls=lambda: [untouched_press] * 8,
+        judged=lambda: iter(()),
+    )
+    monkeypatch.setitem(evaluate.FAMILIES, "layered", lambda *_: stranger)
+    found = evaluate.measured(tmp_path, Case("layered", "working", 0, "balls"))
+    assert found["kept"] == found["rows"] == []
+    assert "8 of 8 presses are unusable" in found["said"][0]
 
 
 def test_a_wrong_family_or_way_is_refused_in_a_line(

@@ -73,7 +73,7 @@ class Way:
 
     `presses`: "mixed", "balls" or "none". `pin_length`: its factor in an otherwise exact drawing,
     without which the fit finds the print. `decay`: the factor on the skin's decay length, which is
-    known with the friction; without it, presses show them.
+    known with the friction; without it, neither is.
     """
 
     presses: str
@@ -183,7 +183,7 @@ def measured(case: str) -> tuple[dict[str, Any], bytes]:
         )
     if way.decay:
         decay_mm = way.decay * model.skin_decay_mm
-        mechanics = Mechanics((decay_mm, decay_mm), (model.friction, model.friction), seen=True)
+        mechanics = Mechanics((decay_mm, decay_mm), (model.friction, model.friction))
     began_s = time.monotonic()
     fitted = fit(result.calibration, result.presses, lambda _: None, stated, mechanics=mechanics)
     fit_s = time.monotonic() - began_s

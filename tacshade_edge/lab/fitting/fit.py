@@ -20,9 +20,10 @@ from tacshade_edge.lab.fitting.judge import (
     NetworkReport,
     error_scales_of,
     judged,
+    towards,
 )
 from tacshade_edge.lab.fitting.prints import Found
-from tacshade_edge.lab.fitting.twin import Mechanics, Steps, likely_mechanics
+from tacshade_edge.lab.fitting.twin import Mechanics, Steps
 from tacshade_edge.lab.fitting.twin_work import FULL, NAMES, Effort, Say, Task, worked
 from tacshade_edge.lab.fitting.words import advice, found_words, refused
 from tacshade_edge.sensor.inference.network import shipped_layout
@@ -64,7 +65,7 @@ def fit(
     empty. `stated`: sizes of the print in mm from its drawing, by the keys of ``print`` in
     SENSOR.yaml; they are not fitted. `folder`: keeps finished steps, so that an interrupted fit
     goes on; removed at the end. `mechanics`: the skin's if they are known. `touches`: pictures of
-    touches without labels, which choose the print and judge the networks where there are no
+    touches without labels, which choose the print and may veto networks where there are no
     presses. Raises ConfigError (too few of the touches show a touch).
     """
     stated = stated or {}
@@ -83,20 +84,19 @@ def fit(
     if reasons := refused(prints, choice, has_presses=bool(presses)):
         return FitResult(calibration, reasons[:1], advice=reasons[1:])
     prints = list(choice.prints) if choice else _likely(prints)
-    say("fit: comparing presses with simulated skins" if presses else "fit: simulating")
-    mechanics = mechanics or likely_mechanics(calibration, prints[0], presses)
+    mechanics = mechanics or Mechanics()
     with contextlib.ExitStack() as stack:
         folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        steps = Steps(folder, _digest(calibration, presses, prints, mechanics, FULL))
+        steps = Steps(folder, _digest(calibration, prints, mechanics, FULL))
         task = Task(calibration, prints, mechanics, FULL, steps)
         made = _judged(task, worked(task, say), presses, choice if touches else None)
         steps.remove()
     kept = {name: network for name, (network, report) in made.items() if report.kept}
     return FitResult(
         replace(calibration, fitted=kept),
-        found_words(prints, mechanics, stated, choice),
+        found_words(prints, stated, choice),
         tuple(report for _, report in made.values()),
-        advice(mechanics, touches=bool(pictures)),
+        advice(has_presses=bool(presses), touches=bool(pictures)),
         {name: network for name, (network, _) in made.items()},
     )
 
@@ -114,7 +114,7 @@ def _contradicted(
     doubt = f"the stated print leaves {100 * prints[0].residual:.0f} % of the reference unexplained"
     return (
         f"{doubt}: nothing is fitted; compare print in SENSOR.yaml with what the reference shows:",
-        *found_words(shown, Mechanics(), {}),
+        *found_words(shown, {}),
     )
 
 
@@ -131,20 +131,17 @@ def _judged(
 ) -> dict[str, tuple[FittedNetwork, NetworkReport]]:
     """Judge every network by presses, or else by touches."""
     held_out = task.held_out()
-    # White tips show where pins are, and not how long they are: presses or touches can tell.
-    alone = LENGTH_UNKNOWN if task.prints[0].kind.white_tips else WHOLE_WAY
+    part = LENGTH_UNKNOWN if task.prints[0].kind.white_tips else WHOLE_WAY
     return {
-        name: judged(task.calibration, presses, touches, held_out, name, weights[name], alone)
+        name: judged(
+            task.calibration, presses, touches, held_out, name, towards(name, weights[name], part)
+        )
         for name in NAMES
     }
 
 
 def _digest(
-    calibration: Calibration,
-    presses: Sequence[KnownPress],
-    prints: Sequence[Found],
-    mechanics: Mechanics,
-    effort: Effort,
+    calibration: Calibration, prints: Sequence[Found], mechanics: Mechanics, effort: Effort
 ) -> str:
     """Digest everything that a fit's steps depend on."""
     digest = hashlib.sha256(
@@ -155,9 +152,6 @@ def _digest(
     # steps.
     known = (calibration.geometry, calibration.pitch_px, found, mechanics, effort)
     digest.update(repr(known).encode())
-    for press in presses:
-        stated = repr((press.radius_mm, press.depth_mm, press.x_mm, press.y_mm))
-        digest.update(press.image.tobytes() + stated.encode())
     # Weights of another layout do not fit into the networks of this release.
     for name in LADDER:
         digest.update(shipped_layout(name).encode())

@@ -7,20 +7,18 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from tacshade_edge.calibration.inputs import KnownPress
 from tacshade_edge.calibration.reference.references import with_reference
 from tacshade_edge.errors import DecodeError
 from tacshade_edge.files.atomic_files import disk_errors, write_whole
 from tacshade_edge.files.npz import read_arrays
 from tacshade_edge.lab.fitting.patches import renderer_of
-from tacshade_edge.lab.fitting.prints import BLURS_PX, Found, WhiteMap
+from tacshade_edge.lab.fitting.prints import BLURS_PX, Found
 from tacshade_edge.lab.fitting.skins import (
     NUISANCE_PART,
     Unevenness,
@@ -29,30 +27,17 @@ from tacshade_edge.lab.fitting.skins import (
     random_skin,
     true_maps,
     true_shear,
-    uneven_skin,
     wide_presses,
 )
 from tacshade_edge.lab.simulator.drag import TURNING
-from tacshade_edge.lab.simulator.press import Press, ball
+from tacshade_edge.lab.simulator.press import Press
 from tacshade_edge.lab.simulator.sensor_model import SensorModel
 from tacshade_edge.lab.simulator.skin import undeformed
 from tacshade_edge.sensor.geometry import disc_map
-from tacshade_edge.sensor.image import greyscale
 from tacshade_edge.sensor.image.preprocess import Preprocessor
 from tacshade_edge.sensor.image.white import CellMeans
 from tacshade_edge.sensor.profiles import PROFILES
 from tacshade_edge.types import F32, F64, U8, Bool, Calibration
-
-LEAST_PRESSES, MOST_PRESSES = 5, 8
-DECAYS_MM, FRICTIONS = (1.3, 1.7, 2.2, 2.9, 3.8), (0.6, 0.8, 1.0)
-# The found print never stands so exactly that cells could be compared one by one.
-SMOOTH_CELLS = 2.0
-LIKELY = 1.1
-"""Mechanics that leave at most this many times the best ones' error unexplained are likely."""
-STEP, FRICTION_STEP = 1.15, 0.1
-"""Half the distance between neighbours of `DECAYS_MM` (a ratio) and of `FRICTIONS`,
-which ranges include.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,57 +46,6 @@ class Mechanics:
 
     decay_mm: tuple[float, float] = (1.3, 3.8)
     friction: tuple[float, float] = (0.6, 1.0)
-    seen: bool = False
-
-
-def likely_mechanics(
-    calibration: Calibration, found: Found, presses: Sequence[KnownPress]
-) -> Mechanics:
-    """The mechanics with which simulated balls look like the pressed ones;
-    the full ranges without enough of them.
-    """
-    balls = [p for p in presses if p.indenter is None and p.x_mm is not None and p.y_mm is not None]
-    if len(balls) < LEAST_PRESSES:
-        return Mechanics()
-    # So that the few that are taken cover all depths.
-    balls.sort(key=lambda press: press.depth_mm)
-    balls = [
-        balls[int(k)] for k in np.linspace(0, len(balls) - 1, min(len(balls), MOST_PRESSES)).round()
-    ]
-    white = WhiteMap(calibration)
-    at_rest = white.reference()
-    seen = [_soft(white.of(greyscale.to_grey(press.image)) - at_rest) for press in balls]
-    model, layout = found.at(found.values)
-    errors = {}
-    for decay_mm, friction in product(DECAYS_MM, FRICTIONS):
-        skin_model = replace(model, skin_decay_mm=decay_mm, friction=friction)
-        renderer = renderer_of(found, skin_model, layout)
-
-        def drawn(skin, renderer=renderer) -> F32:  # type: ignore[no-untyped-def]
-            return white.of(np.clip(renderer.draw(skin) + 0.5, 0, 255).astype(np.uint8))
-
-        free, off = drawn(undeformed(model.skin_radius_mm)), 0.0
-        for press, change in zip(balls, seen, strict=True):
-            pressed = Press(
-                ball(press.radius_mm), press.x_mm or 0.0, press.y_mm or 0.0, press.depth_mm
-            )
-            # Changes are compared, not pictures, so what is wrong with the print cancels.
-            made = _soft(drawn(uneven_skin(skin_model, (pressed,), Unevenness())) - free)
-            off += float(np.square((made - change)[white.inside]).mean())
-        errors[decay_mm, friction] = off
-    best = min(errors.values())
-    decays, frictions = zip(
-        *(each for each, off in errors.items() if off <= LIKELY * best), strict=True
-    )
-    return Mechanics(
-        (min(decays) / STEP, max(decays) * STEP),
-        (min(frictions) - FRICTION_STEP, min(max(frictions) + FRICTION_STEP, 1.0)),
-        seen=True,
-    )
-
-
-def _soft(cells: F32) -> F32:
-    return np.asarray(cv2.GaussianBlur(cells, (0, 0), SMOOTH_CELLS), np.float32)
 
 
 WHOLE, HALVED = "accurate", "balanced"

@@ -12,7 +12,6 @@ import numpy as np
 from tacshade_edge.lab.fitting.explained import Choice
 from tacshade_edge.lab.fitting.identify import MERGED
 from tacshade_edge.lab.fitting.prints import PARAMETERS, Found
-from tacshade_edge.lab.fitting.twin import LEAST_PRESSES, Mechanics
 
 UNEXPLAINED_ALONE = 0.45
 """Greatest part of the reference's pattern (RMS) that a print may leave unexplained without touches
@@ -29,9 +28,7 @@ MORE_TOUCHES = (
     "record twenty touches of anything (`capture` does) and repeat with --touches: "
     "they choose the print and judge the fit"
 )
-
-
-PRESS_BALLS = f"press at least {LEAST_PRESSES} balls at stated places"
+PRESS_BALLS = "press twenty balls at stated places: they judge the fit by labels"
 
 
 def refused(
@@ -48,8 +45,7 @@ def refused(
             f"{left}: nothing is fitted",
             (
                 "compare skin_radius_mm, camera_distance_mm and the visible circle with the "
-                "sensor's drawing"
-                + ("" if has_presses else f"; or {PRESS_BALLS}: they judge the fit by labels")
+                "sensor's drawing" + ("" if has_presses else f"; or {PRESS_BALLS}")
             ),
         )
     if not prints:
@@ -73,10 +69,7 @@ def refused(
 
 
 def found_words(
-    prints: Sequence[Found],
-    mechanics: Mechanics,
-    stated: Mapping[str, float],
-    choice: Choice | None = None,
+    prints: Sequence[Found], stated: Mapping[str, float], choice: Choice | None = None
 ) -> tuple[str, ...]:
     """What was found, in words that a person can check against the drawing."""
     best = prints[0]
@@ -111,19 +104,12 @@ def found_words(
         if not best.kind.patches
         else f"took the tips from the sensor's own picture: pitch {pitch_mm:.2f} mm, {sizes[0]}"
     ]
-    if mechanics.seen:
-        decay = " to ".join(f"{each:.1f}" for each in mechanics.decay_mm)
-        friction = " to ".join(f"{each:.1f}" for each in mechanics.friction)
-        lines.append(
-            f"found that the skin's dent decays over {decay} mm beside a contact, "
-            f"and friction {friction}"
-        )
     if choice is not None:
         left = f"{100 * choice.left:.0f} % of the touches' changes"
         lines.append(f"it leaves {left} unexplained")
     return tuple(lines)
 
 
-def advice(mechanics: Mechanics, *, touches: bool) -> tuple[str, ...]:
-    balls = f"{PRESS_BALLS}: they show how soft the skin is"
-    return (*(() if mechanics.seen else (balls,)), *(() if touches else (MORE_TOUCHES,)))
+def advice(*, has_presses: bool, touches: bool) -> tuple[str, ...]:
+    """What would judge the fit that nothing has judged yet."""
+    return (*(() if has_presses else (PRESS_BALLS,)), *(() if touches else (MORE_TOUCHES,)))

@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 from support.calibrated_sensor import (
-    HALF,
     PIN_LENGTH_MM,
     TACTIP,
     calibrated,
     found_prints,
-    presses,
     unloaded,
 )
 from support.networks import float_network
@@ -112,18 +110,6 @@ def test_an_interrupted_fit_leaves_no_worker_and_goes_on(
     assert not any("simulating, " in line for line in said)
 
 
-@pytest.mark.slow
-def test_balls_show_the_mechanics() -> None:
-    from tacshade_edge.lab.fitting.twin import Mechanics, likely_mechanics
-
-    found = found_prints()[0]
-    shown = likely_mechanics(without_presses(), found, presses())
-    assert shown.seen
-    assert shown.decay_mm[0] < HALF.skin_decay_mm < shown.decay_mm[1]
-    assert shown.decay_mm[1] / shown.decay_mm[0] < 2.2
-    assert likely_mechanics(without_presses(), found, presses()[:4]) == Mechanics()
-
-
 @pytest.mark.parametrize("residual", [None, 0.6])
 def test_a_reference_that_no_print_explains_is_not_fitted_without_touches(
     monkeypatch: pytest.MonkeyPatch, residual: float | None
@@ -165,7 +151,7 @@ def test_without_labels_a_print_must_explain_half_of_what_touches_change(
     choice: Any = SimpleNamespace(left=left)
     reasons = refused(found_prints(), choice, has_presses=has_presses)
     assert bool(reasons) == is_refused
-    assert not is_refused or has_presses or "press at least" in reasons[1]
+    assert not is_refused or ("press twenty balls" in reasons[1]) != has_presses
 
 
 def test_too_few_touches_are_a_mistake_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
