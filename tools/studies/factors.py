@@ -122,7 +122,27 @@ def _shown(*ratios: float) -> list[str]:
     return [f"{ratio:.2f}" for ratio in ratios]
 
 
-def main(words: Sequence[str] | None = None) -> None:
+def of_strangers(
+    families: Sequence[str], range_name: str, count: int, states: Path
+) -> list[Judged]:
+    """Judge strangers; those whose presses are refused are named and left out.
+
+    Raises FileNotFoundError (not solved).
+    """
+    rows: list[Judged] = []
+    for family in families:
+        for number in range(count):
+            stranger = FAMILIES[family](range_name, number, states / family)
+            try:
+                result = calibrated_stranger(stranger, stranger.balls())
+            except ConfigError as error:
+                print(f"{family} {number}: {error}", file=sys.stderr)
+                continue
+            rows += judged(f"{family} {number}", result, list(stranger.judged()))
+    return rows
+
+
+def main(words: Sequence[str] | None = None) -> int:
     """Judge and print."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -134,21 +154,28 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=4, help="strangers of each family")
     parser.add_argument("--mixed", action="store_true", help="own sensors: not balls alone")
     args = parser.parse_args(words)
-    rows: list[Judged] = []
-    for text in filter(None, args.sensors.split(",")):
-        rows += judged(text, *own(text, mixed=args.mixed))
-    for family in args.families.split(",") if args.states else ():
-        for number in range(args.count):
-            stranger = FAMILIES[family](args.range, number, args.states / family)
-            try:
-                result = calibrated_stranger(stranger, stranger.balls())
-            except ConfigError as error:
-                print(f"{family} {number}: {error}", file=sys.stderr)
-                continue
-            rows += judged(f"{family} {number}", result, list(stranger.judged()))
+    families, sensors = args.families.split(","), list(filter(None, args.sensors.split(",")))
+    try:
+        for name in families:
+            if name not in FAMILIES:
+                raise ValueError(f"found {name!r}, expected one of {', '.join(FAMILIES)}")
+        for text in sensors:
+            sensor_name(text)
+    except ValueError as error:
+        parser.error(str(error))
+    try:
+        strangers = (
+            of_strangers(families, args.range, args.count, args.states) if args.states else []
+        )
+    except FileNotFoundError as error:
+        print(f"{error.filename} is missing: solve the family first (README.md)", file=sys.stderr)
+        return 1
+    rows = [row for text in sensors for row in judged(text, *own(text, mixed=args.mixed))]
+    rows += strangers
     headings = ["sensor", "method", "factor", "best", "pressed: of without", "dragged: of without"]
     print(markdown(headings, lines(rows)))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
