@@ -168,10 +168,10 @@ PAGES = {
     "strangers": Page(
         {
             "": f"{STRANGERS} --families third --range final",
-            "Layered and oblate skins": f"{STRANGERS} --families layered,oblate --range final",
             "Do touches rank maps?": (
                 "tools.studies.strangers.explained --states out/strangers --range final --sensors 2"
             ),
+            "Layered and oblate skins": f"{STRANGERS} --families layered,oblate --range final",
         },
     ),
     "factors": Page(
