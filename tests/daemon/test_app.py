@@ -302,6 +302,20 @@ def test_nothing_but_invalid_frames_is_a_degraded_state(
 # Before there is a calibration: the camera's picture, and what to do; then the calibration comes.
 
 
+def refuses_what_needs_a_calibration(live: Live, robot: PtyRobot, code: str) -> None:
+    """Every request that needs a calibration is refused with the reason's code."""
+    requests: dict[str, dict[str, Any]] = {"reference": {}, "profile": {"profile": "fast"}}
+    requests |= {"record": {"action": "start", "seconds": 1}, "stitch": {"action": "begin"}}
+    for verb, body in requests.items():
+        assert live.ask(verb, **body)["reason_code"] == code
+    status = live.ask("status")
+    assert (status["ok"], status["result"]["reason_code"]) == (True, code)
+    robot.ask("CAPTURE")
+    wait_until(
+        lambda: any(" UNCALIBRATED not calibrated: " in a for a in robot.answers), 10, "CAPTURE"
+    )
+
+
 def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, scripted: Any) -> None:
     link, code, touched = (
         Path(f"/dev/shm/tacshade-raw-{os.getpid()}"),
@@ -344,17 +358,7 @@ def test_the_picture_until_a_calibration_comes(live: Live, pictures: Any, script
         health = live.until("health", invalid_reason_code=code)
         assert health["frames"]["invalid"] > 0
 
-        requests: dict[str, dict[str, Any]] = {"reference": {}, "profile": {"profile": "fast"}}
-        requests |= {"record": {"action": "start", "seconds": 1}, "stitch": {"action": "begin"}}
-        for verb, body in requests.items():
-            assert live.ask(verb, **body)["reason_code"] == code
-        status = live.ask("status")
-        assert (status["ok"], status["result"]["reason_code"]) == (True, code)
-        robot.ask("CAPTURE")
-        wait_until(
-            lambda: any(" UNCALIBRATED not calibrated: " in a for a in robot.answers), 10, "CAPTURE"
-        )
-
+        refuses_what_needs_a_calibration(live, robot, code)
         calibration.write_bytes(b"nothing of the kind")
         wait_until(
             lambda: (

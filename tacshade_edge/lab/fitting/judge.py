@@ -163,7 +163,7 @@ simple shapes, and none is dragged.
 TOLERATED_LEFT = 1.25
 """How much more of touches than the shipped network a fitted one may leave unexplained. That hardly
 ranks networks: on working strangers, fits that left up to 1.19 times as much had 0.53 to 0.94 times
-the error. So it stops only fits that ruin a network.
+the error. So it stops only a network that explains touches far worse than any of these.
 """
 USUAL_LEFT = 0.6
 """The share of touches' changes that maps leave unexplained where σ of the shipped networks is
